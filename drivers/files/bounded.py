@@ -1,4 +1,4 @@
-"""Read a file that somebody else has written: never more than a bound, and without waiting for a writer."""
+"""Bounded reading of files: never more than a limit, never blocked by a FIFO without a writer."""
 
 import errno
 import os
@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def read_bounded(path: Path, max_bytes: int) -> bytes:
-    """Return the content of a file; raise `OSError`, with the reason in words, also for one that is larger."""
+    """Return the content of a file; raise `OSError` (EFBIG) if it has more than `max_bytes`."""
     descriptor = os.open(
         path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC
     )  # else a FIFO would wait for a writer

@@ -58,7 +58,7 @@ def build_scene(
 
 
 def photograph_drop(scene: Scene, number: int, diameter_mm: float) -> FrameBundle:
-    """Return what the cameras see of the ball's drop number `number`."""
+    """Render drop number `number` of a ball: one frame of each camera."""
     rng = stream(scene.seed, BALL, number)
     placed = drop_across(ball(diameter_mm), scene.true_rig, rng)
     return scene.photograph(placed, rng, f"ball-{number}")

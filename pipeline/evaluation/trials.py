@@ -113,18 +113,19 @@ def try_body(
     Measurements are brought to the true rig's frame by the one rigid motion between the two rigs, not body by body.
     If the body is star-shaped, the exact hull in the same pose, seen by the true rig, comes first.
     `on_measured` is called for each trial that gave a body, with the measured and the true surface. `masks` are the
-    silhouettes of the paper's whole method, which needs them. `on_stage` is told each method's stages as they end.
+    silhouettes of the paper's whole method, which needs them. `on_stage` is told method and name of each stage as it
+    ends, and ("", "") where what came before belongs to none.
     """
     rng = _stream(scene.seed, body.name, number, 1)
     placed = tumble(body, scene.true_rig, rng)
     bundle = scene.photograph(placed, rng, body.name)
     on_stage("", "")
-    silhouettes = {"": segment_all(bundle.frames, scene.background, BackgroundSegmenter())}
+    compared = segment_all(bundle.frames, scene.background, BackgroundSegmenter())
     on_stage("photo", "segment")
+    masked: SilhouetteSet = {}
     if masks is not None:
         masked = segment_all(bundle.frames, scene.background, masks)
         on_stage("paper's method", "segment")
-        silhouettes |= dict.fromkeys(ISOLEVELS, masked)
     truth = Surface(placed.world_mesh)
     shape = measure_shape(truth.mesh.vertices, truth.mesh.faces)
 
@@ -145,8 +146,8 @@ def try_body(
         motion = rig_error(rig, scene.true_rig)
         for method in methods:
             on_stage("", "")
-            of_method = silhouettes.get(method, silhouettes[""])
-            measured = _measure(bundle, of_method, rig, method, partial(on_stage, method))
+            silhouettes = masked if method in ISOLEVELS else compared
+            measured = _measure(bundle, silhouettes, rig, method, partial(on_stage, method))
             if isinstance(measured, Measured):
                 vertices_mm = measured.mesh.vertices @ motion.R.T + motion.t_mm
                 mesh = trimesh.Trimesh(vertices_mm, measured.mesh.faces, process=False)

@@ -113,7 +113,7 @@ async def asker_of(request: Request, context: Context, credentials: Credentials)
 
 
 def has_right_key(request: Request, context: ApiContext) -> bool:
-    """Return whether the key, the session or the origin of a request has any scope; nothing is counted or refused."""
+    """Check for any scope by key, session or origin of a request, without counting or refusing it."""
     keys = context.keys
     keys.refresh()
     is_local = _is_from_this_machine(request)

@@ -16,7 +16,7 @@ def host_of_client(request: Request) -> str:
 
 
 def origin_of(host: str) -> str:
-    """Return what is counted as one client: an address, or a network of IPv6."""
+    """Return the key under which limits count a client: its address, of IPv6 its /64 network."""
     address = address_of(host)
     if isinstance(address, IPv6Address):
         return str(ip_network((address, IPV6_NETWORK_BITS), strict=False))

@@ -242,7 +242,7 @@ def _greys(bundle: FrameBundle) -> dict[CameraId, float]:
 
 
 def judge_flash(lit: Mapping[CameraId, float], unlit: Mapping[CameraId, float]) -> Finding:
-    """Return whether the light comes from the flash, from the mean greys of the views with it and without it."""
+    """Judge the flash by the mean grey levels of the views with it and without it."""
     both = [name for name in lit if name in unlit]
     if not both:
         return unknown("flash", "not measured: no camera exposed with it and without it", WANTED_LIGHT)

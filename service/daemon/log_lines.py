@@ -1,4 +1,4 @@
-"""Lines of the log are written by a thread of their own: whoever does not read them holds up nothing else.
+"""Non-blocking log: a thread writes the lines, so that a stalled reader of stderr delays nothing else.
 
 The journal may hang, a terminal may be stopped, a pipe may have no reader: then a write to stderr waits, and with it
 the event loop, and every stone.

@@ -17,7 +17,7 @@ from service.store import audit
 from service.store.schema import transaction
 
 MAX_SIEVINGS = 100
-"""Of a lot; they are one list, without pages."""
+"""Most sievings of a lot: they are one list, without pages."""
 MOST_SIEVES = 100
 """In one table or request; a stored one may be older than this limit."""
 PAN = frozenset({"pan", "boden", "0"})

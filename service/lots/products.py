@@ -12,7 +12,7 @@ from service.store import audit
 from service.store.schema import transaction
 
 MAX_PRODUCTS = 1000
-"""They are one list, without pages."""
+"""Most products: they are one list, without pages."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,7 +22,7 @@ from typing import Any
 ROOT = Path(__file__).parents[2]
 FIGURES, TABLES = ROOT / "tests/benchmarks/figures.json", ROOT / "tests/benchmarks/figures.md"
 PLACE = re.compile(r"\{([^{}:]+):([^{}]*)\}")
-"""A figure in a table: its name, and how Python formats it; a `x1000` before the format multiplies it."""
+"""A figure in a table: its name, and how Python formats it."""
 TABLE = re.compile(r"^## (?P<guide>\S+): (?P<name>.+)\n\n(?P<text>(?:.+\n)+)", re.MULTILINE)
 
 
@@ -41,8 +41,6 @@ def of_bodies(document: Any) -> Iterator[tuple[str, float]]:
     for summary in document["summaries"]:
         where = f"{summary['body']}/{summary['rig']}/{summary['method']}"
         yield from ((f"{where}/{name}", value) for name, value in summary.items() if _is_figure(value))
-    for rig, found in document["rigs"].items():
-        yield from ((f"{rig}/{name}", value) for name, value in found.items() if _is_figure(value))
 
 
 def of_paper(document: Any) -> Iterator[tuple[str, float]]:
@@ -54,9 +52,6 @@ def of_paper(document: Any) -> Iterator[tuple[str, float]]:
         yield f"{row['body']}/{row['isolevel']:g}/volume_percent", row["mesh_volume_percent"]
     for method, seconds in document["seconds"].items():
         yield from ((f"{method}/{stage}_s", value) for stage, value in seconds.items())
-    for rig, found in document["calibration"].items():
-        for name, errors_px in found.items():
-            yield f"{rig}/{name}", sum(errors_px.values()) / len(errors_px)
 
 
 def of_drops(document: Any) -> Iterator[tuple[str, float]]:
@@ -132,10 +127,7 @@ def tables(figures: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[Path, str
     """Yield guide, name and text of each table; `KeyError` for a figure that was never measured."""
 
     def written(place: re.Match[str]) -> str:
-        value, form = figures[place[1]]["value"], place[2]
-        if form.startswith("x1000"):
-            value, form = 1000 * value, form.removeprefix("x1000")
-        return format(value, form)
+        return format(figures[place[1]]["value"], place[2])
 
     for match in TABLE.finditer(TABLES.read_text(encoding="utf-8")):
         yield ROOT / match["guide"], match["name"], PLACE.sub(written, match["text"])

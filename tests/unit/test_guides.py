@@ -57,7 +57,7 @@ def test_commands_of_the_papers_page_take_the_options_that_it_gives_them() -> No
     for line in lines:
         name, *words = line.split()
         assert name in COMMANDS, line
-        command = typer.main.get_command(build_app([name])).commands[name]  # type: ignore[attr-defined]
+        command = typer.main.get_command(build_app([name])).commands[name]  # type: ignore[attr-defined]  # it is a group
         if name == "models":
             command = command.commands[words[0]]
         known = {option for parameter in command.params for option in parameter.opts}

@@ -135,7 +135,7 @@ def test_folded_and_merged_equal_the_batch_to_the_last_digit(
 
 @given(STONES)
 def test_a_share_lies_in_its_own_interval(stones: list[Stone | UnmeasuredStone]) -> None:
-    """Of four stones all of which passed, 32.7 to 82.1 % had."""
+    """The interval of four stones that all pass a sieve was 32.7 to 82.1 %, which leaves 100 % out."""
     for point in evaluate(lot_of(stones), SIEVES, measured=ALL_SIZES).curve:
         found = point.by_mass
         if found.value is not None and found.low is not None and found.high is not None:

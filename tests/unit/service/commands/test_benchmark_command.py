@@ -15,8 +15,8 @@ from pipeline.evaluation.trials import METHODS, ShapeErrors, Trial
 from service.benchmarks import performance as performance_bench
 from service.benchmarks import scaling as scaling_bench
 from service.benchmarks.accuracy import BenchPlan, BenchResult
+from service.benchmarks.accuracy_tables import size_table
 from service.cli import build_app
-from service.commands.benchmark import size_table
 
 RUNNER = CliRunner()
 
