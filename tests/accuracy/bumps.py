@@ -24,12 +24,12 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from support.outlines import Array, bumped, stone_outlines, watch_record
+from support.printed import show
 from support.silhouettes import sphere_silhouettes
 
 from pipeline.calibration.self_calibration import MIN_STONES, recalibrate
@@ -57,6 +57,11 @@ N_RECALIBRATIONS = 3
 N_RENDERED = 40
 N_BEFORE = 20
 """Healthy stones before the bump: the watch is not fresh when it happens."""
+
+RECALIBRATION = (
+    "turn °", "camera", "solved", "found °", "before px", "after px", "sphere mm", "hit", "put back",
+)  # fmt: skip
+"""Columns of the second table: a camera was turned, and put back from stones."""
 
 
 @dataclass(frozen=True)
@@ -199,6 +204,47 @@ def bumps(
     return found
 
 
+def summary_of(turned: Sequence[Bump]) -> Table:
+    """Return one line for each angle by which cameras were turned."""
+    table = Table(
+        *("all turns of", "turned", "image px", "named by the first stone", "later", "by stone, at most"),
+        *("not named", "left out of stones", "others named"),
+    )
+    for turn_deg in dict.fromkeys(each.turn_deg for each in turned):
+        own = [each for each in turned if each.turn_deg == turn_deg]
+        named_after = [each.named_after for each in own if each.named_after is not None]
+        table.add_row(
+            f"{turn_deg:g}",
+            str(len(own)),
+            f"{min(each.image_px for each in own):.1f} to {max(each.image_px for each in own):.1f}",
+            str(named_after.count(1)),
+            str(len(named_after) - named_after.count(1)),
+            str(max(named_after, default="-")),
+            str(len(own) - len(named_after)),
+            f"{sum(each.dropped for each in own)} of {N_AFTER * len(own)}",
+            str(sum(each.others_named for each in own)),
+        )
+    return table
+
+
+def spheres_of(recalibrated: Table) -> Table:
+    """Return by how much a sphere measured wrong, at most, with cameras that were hit and with them put back."""
+    columns = {column.header: list(column.cells) for column in recalibrated.columns}
+    table = Table("recalibrated after turns of", "sphere off, mm, at most", "put back")
+    for turn in dict.fromkeys(columns["turn °"]):
+        own = [
+            tuple(float(str(columns[name][row])) for name in ("sphere mm", "hit", "put back"))
+            for row, each in enumerate(columns["turn °"])
+            if each == turn
+        ]
+        table.add_row(
+            turn,
+            f"{max(abs(hit - true) for true, hit, _ in own):.4f}",
+            f"{max(abs(back - true) for true, _, back in own):.4f}",
+        )
+    return table
+
+
 def main() -> None:
     parser = ArgumentParser(description="How soon a camera that was hit is named.")
     parser.add_argument("--seed", type=int, default=5)
@@ -206,12 +252,14 @@ def main() -> None:
     parser.add_argument("--turns", type=float, nargs="+", default=TURNS_DEG, help="degrees")
     parser.add_argument("--lens", type=LensPreset, choices=tuple(LensPreset), help="find outlines in images")
     parser.add_argument("--recalibrate", action="store_true")
+    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     observed = (
         in_images(arguments.lens, arguments.seed) if arguments.lens else exact_outlines(arguments.noise_px)
     )
     table = Table("turn °", "camera", "image px", "named after", "dropped", "others named", "what it says")
-    for found in bumps(arguments.seed, observed, arguments.turns):
+    turned = bumps(arguments.seed, observed, arguments.turns)
+    for found in turned:
         named = "not named" if found.named_after is None else str(found.named_after)
         table.add_row(
             f"{found.turn_deg:g}",
@@ -222,24 +270,21 @@ def main() -> None:
             str(found.others_named),
             found.said,
         )
-    console = Console(width=160)
-    console.print(table)
+    tables = [table, summary_of(turned)]
     if arguments.recalibrate:
-        table = Table(
-            "turn °", "camera", "solved", "found °", "before px", "after px", "sphere mm", "hit", "put back"
-        )
+        again = Table(*RECALIBRATION)
+        tables.append(again)
         for number in range(len(arguments.turns) * N_RECALIBRATIONS):
             rng = np.random.default_rng([arguments.seed, 1, number])
             rig, seen = observed(rng)
-            table.add_row(*recalibration(rig, arguments.turns[number % len(arguments.turns)], rng, seen))
-        console.print(table)
+            again.add_row(*recalibration(rig, arguments.turns[number % len(arguments.turns)], rng, seen))
+        tables.append(spheres_of(again))
     rig, seen = observed(np.random.default_rng([arguments.seed, 0]))
     n_healthy = N_RENDERED if arguments.lens else N_HEALTHY
     alarms, scores_px = false_alarms(rig, seen, n_healthy)
-    console.print(
-        f"{n_healthy} healthy stones: {alarms} false alarms, scores up to {scores_px.max():.2f} px, "
-        f"median {np.median(scores_px):.3f}"
-    )
+    healthy = Table("healthy stones", "false alarms", "highest score px", "median px")
+    healthy.add_row(str(n_healthy), str(alarms), f"{scores_px.max():.2f}", f"{np.median(scores_px):.3f}")
+    show(*tables, healthy, as_json=arguments.json, width=160)
 
 
 if __name__ == "__main__":

@@ -15,14 +15,12 @@ Run: .venv/bin/python tests/accuracy/gradation.py [--stones 300] [--seed 1] [--j
 """
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 from math import hypot
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 from rich.console import Console
@@ -35,6 +33,7 @@ from service.lots.standards import read_standards
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from support.lot_comparison import SETS, Comparison, Figure, comparison, missed
+from support.printed import show
 from support.rendered_lots import ALL_CAMERAS, FORM_SHARES, Row, measured_rows
 
 PAIRS = (("c05", "c06"), ("c01", "c15"), ("c09", "c11"), ("c13", "c14"))
@@ -130,24 +129,6 @@ def crossings_table(rows: Sequence[Row]) -> Table:
     return table
 
 
-def to_document(found: Comparison) -> dict[str, Any]:
-    """Return a comparison as JSON-ready values."""
-
-    def of(figure: Figure) -> dict[str, Any]:
-        return {
-            **asdict(figure),
-            "difference": figure.difference,
-            "is_reached": figure.is_reached,
-            "is_held": figure.is_held,
-        }
-
-    return {
-        **asdict(found),
-        "passing": {name: [of(figure) for figure in figures] for name, figures in found.passing.items()},
-        "indices": [of(figure) for figure in found.indices],
-    }
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -157,25 +138,23 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--body", choices=get_args(BodyKind), default="photo")
     parser.add_argument("--out", type=Path, help="JSON of all stones, true and measured")
-    parser.add_argument("--json", action="store_true", help="print the comparisons as JSON")
+    parser.add_argument("--json", action="store_true", help="print the tables as JSON")
     arguments = parser.parse_args()
     rows = measured_rows(
         arguments.stones, arguments.seed, arguments.jobs, PAIRS, arguments.out, arguments.body
     )
     found = [comparison(rows, cameras) for cameras in rows[0].found]
     broken = [said for each in found for said in missed(each)]
-    if arguments.json:
-        documents = [to_document(each) for each in found]
-        document = {"seed": arguments.seed, "comparisons": documents, "missed": broken}
-        sys.stdout.write(json.dumps(document, indent=1) + "\n")
-        return 1 if broken else 0
-    console, whole = Console(width=None if sys.stdout.isatty() else 200), found[0]
-    for name in SETS:
-        console.print(figures_table(f"passing, {name}", whole.passing[name]))
-    console.print(figures_table("indices", whole.indices))
-    console.print(errors_table(rows))
-    console.print(crossings_table(rows))
-    console.print(summary_table(found))
+    console, whole = Console(stderr=True), found[0]
+    show(
+        *(figures_table(f"passing, {name}", whole.passing[name]) for name in SETS),
+        figures_table("indices", whole.indices),
+        errors_table(rows),
+        crossings_table(rows),
+        summary_table(found),
+        as_json=arguments.json,
+        width=200,
+    )
     n_beyond = sum(figure.sigmas > 2 for figure in whole.figures)
     console.print(f"{n_beyond} of {len(whole.figures)} figures are more than 2 sd of measuring off.")
     why = ", ".join(f"{n} {reason}" for reason, n in whole.rejected.items()) or "none"

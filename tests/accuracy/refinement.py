@@ -13,13 +13,16 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import trimesh
-from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.printed import show
 
 from pipeline.carving import CarvingParameters, carve
 from pipeline.estimate import estimate_body
@@ -68,12 +71,13 @@ def main() -> int:
     parser.add_argument("--size-mm", type=float, default=24.0)
     parser.add_argument("--seed", type=int, default=11)
     parser.add_argument("--lens", choices=[preset.value for preset in LensPreset], default="f2")
+    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     threadpool_limits(1)  # threads that wait count, too
     scene = build_scene(arguments.seed, exposure=LENS_PRESETS[LensPreset(arguments.lens)])
-    for name in arguments.bodies.split(","):
-        Console(width=None if sys.stdout.isatty() else 120).print(table(name, arguments.size_mm, scene))
+    tables = (table(name, arguments.size_mm, scene) for name in arguments.bodies.split(","))
+    show(*tables, as_json=arguments.json, width=120)
     return 0
 
 
@@ -86,15 +90,9 @@ def table(name: str, size_mm: float, scene: Scene) -> Table:
     silhouettes = segment_all(bundle.frames, scene.background, BackgroundSegmenter())
     truth, volume_mm3 = Surface(placed.world_mesh), float(placed.world_mesh.volume)
     found = Table(
-        f"{name} {size_mm:g} mm",
-        "estimate: mm",
-        "volume %",
-        "photo: mm",
-        "largest",
-        "volume %",
-        "supported",
-        "ms",
-        "texture ms",
+        *("body", "case", "estimate mm", "estimate volume %", "photo mm", "photo largest", "photo volume %"),
+        *("supported", "ms", "texture ms"),
+        title=f"{name} {size_mm:g} mm",
     )
     for case in cases(bundle.frames, scene.true_rig, silhouettes):
         kept = {camera: seen for camera, seen in silhouettes.items() if camera not in case.missing}
@@ -119,6 +117,7 @@ def table(name: str, size_mm: float, scene: Scene) -> Table:
             columns.append(((own.mean_mm + own.back_mean_mm) / 2, max(own.max_mm, own.back_max_mm), percent))
         (before_mm, _, before), (after_mm, largest_mm, after) = columns
         found.add_row(
+            name,
             case.name,
             f"{before_mm:.4f}",
             f"{before:+.2f}",

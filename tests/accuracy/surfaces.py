@@ -13,10 +13,14 @@ import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from statistics import fmean
 
 from rich.console import Console
 from rich.table import Table
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.printed import show
 
 from pipeline.evaluation.trials import STANDARDS, Trial, random_body
 from pipeline.synthesis.bodies import Looks, SurfaceKind
@@ -193,13 +197,14 @@ def errors_table(found: Sequence[Compared], title: str) -> Table:
     return table
 
 
-def goals_table(goals_by_rig: Mapping[str, Sequence[Goal]], title: str) -> Table:
+def goals_table(goals_by_rig: Mapping[str, Sequence[Goal]], lens: LensPreset, title: str) -> Table:
     """Return one line for each goal, and whether it holds, with each rig."""
     table = Table(title=title)
-    for column in ("goal", "limit", *goals_by_rig):
+    for column in ("lens", "goal", "limit", *goals_by_rig):
         table.add_column(column, justify="left" if column == "goal" else "right", no_wrap=True)
     for row in zip(*goals_by_rig.values(), strict=True):
         table.add_row(
+            lens.value,
             row[0].what,
             f"{row[0].limit:g}",
             *(f"{goal.reached:.4f} {'ok' if goal.holds else 'missed'}" for goal in row),
@@ -217,9 +222,10 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--gloss", type=float, default=0.0)
     parser.add_argument("--interreflection", action="store_true")
+    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     looks = Looks(surfaces=TEXTURES, gloss=arguments.gloss, is_interreflecting=arguments.interreflection)
-    console = Console(width=None if sys.stdout.isatty() else 150)
+    console, tables = Console(stderr=True), []
     all_hold = True
     for lens in map(LensPreset, arguments.lenses.split(",")):
         plan = plan_of(arguments.seed, arguments.count, lens, looks=looks)
@@ -230,8 +236,7 @@ def main() -> int:
             for rig in dict.fromkeys(each.rig for each in found)
         }
         title = f"lens {lens}, seed {plan.seed}, gloss {looks.gloss:g}, interreflection {looks.is_interreflecting}"
-        console.print(errors_table(found, title))
-        console.print(goals_table(by_rig, title))
+        tables += [errors_table(found, title), goals_table(by_rig, lens, title)]
         failures = [
             f"{trial.body} {trial.number}, {trial.rig}: {trial.failure}"
             for trial in result.trials
@@ -240,6 +245,7 @@ def main() -> int:
         console.print("\n".join([*failures, *(f"rig {rig}: {why}" for rig, why in result.refused.items())]))
         all_hold &= not failures and not result.refused
         all_hold &= all(goal.holds for rig_goals in by_rig.values() for goal in rig_goals)
+    show(*tables, as_json=arguments.json)
     return 0 if all_hold else 1
 
 

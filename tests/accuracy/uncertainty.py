@@ -30,6 +30,9 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.printed import show
+
 from pipeline.evaluation.scene import Scene, build_scene
 from pipeline.evaluation.surface_distances import Surface, surface_distances
 from pipeline.frames import CameraId, FrameBundle
@@ -321,6 +324,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--out", type=Path, help="JSON of all rows, which tests/benchmarks/plots.py draws")
+    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     names, segmenters = arguments.conditions.split(","), arguments.segmenters.split(",")
     if unknown := set(names) - set(CONDITIONS):
@@ -337,11 +341,9 @@ def main() -> int:
             rows += done
             if arguments.out is not None:  # after each rig, as all of them take long
                 arguments.out.write_text(json.dumps([asdict(row) for row in rows], indent=1))
-    console = Console(width=None if sys.stdout.isatty() else 220)
-    console.print(forms_table(rows))
-    console.print(table(rows))
+    show(forms_table(rows), table(rows), as_json=arguments.json, width=220)
     broken = broken_promises(rows)
-    console.print("\n".join(broken) or "All promises hold.")
+    Console(stderr=True).print("\n".join(broken) or "All promises hold.")
     return 1 if broken else 0
 
 

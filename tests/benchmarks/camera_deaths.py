@@ -13,11 +13,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.live_rig import LiveRig, eventually, live_rig
+from support.printed import show
 from support.small_recording import write_small_recording
 from support.usage import percentiles
 
@@ -28,7 +28,9 @@ BETWEEN_S = 12.0
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--deaths", type=int, default=10)
-    n_deaths = parser.parse_args().deaths
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    n_deaths = arguments.deaths
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_small_recording(folder / "recording", n_stones=7, n_backgrounds=4)
@@ -46,14 +48,14 @@ def main() -> int:
             time.sleep(1.0)
             live.daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)
             counts, n_stones = live.accounting(), live.stones
-    table = Table("", "", title=f"{n_deaths} deaths of the process of the cameras, 4 stones/s")
+    table = Table("", "found", title=f"{n_deaths} deaths of the process of the cameras, 4 stones/s")
     reasons = {reason: n - before["by_reason"].get(reason, 0) for reason, n in counts["by_reason"].items()}
     table.add_row("until there is another process, ms: p50, p95, p99, max", percentiles(process_ms))
     table.add_row("until all 16 cameras are armed again, ms: p50, p95, p99, max", percentiles(whole_ms))
     table.add_row("stones that fell (simulator), triggers", f"{n_stones}, {counts['triggers']}")
     table.add_row("measured, rejected, lost", "{measured}, {rejected}, {lost}".format(**counts))
     table.add_row("lost or rejected by reason", str(reasons))
-    Console(width=120).print(table)
+    show(table, as_json=arguments.json, width=120)
     is_whole = (
         counts["triggers"] == n_stones
         and counts["is_balanced"]

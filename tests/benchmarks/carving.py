@@ -36,6 +36,7 @@ from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.carving_peers import ALL, CARVE, CARVE_FINE, INTEGRATE, MESH, PEERS, Task, Work, voxels_of
+from support.printed import show
 
 from pipeline.carving import CarvingParameters, VisualHull, carve
 from pipeline.measuring.solid import Solid, solid_of
@@ -214,6 +215,7 @@ def main() -> int:
     parser.add_argument("--repeat", type=int, default=9)
     parser.add_argument("--peers", default=",".join(PEERS), help="empty: our code alone")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--out", type=Path, help="JSON of all rows, which tests/benchmarks/plots.py draws")
     arguments = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1"  # in the peers' processes
     use_one_thread()
@@ -221,14 +223,13 @@ def main() -> int:
     task = task_of(seen, arguments.n)
     names = [name for name in PEERS if name in arguments.peers.split(",")]
     rows = compared(seen, task, names, arguments.repeat)
-    if arguments.json:
-        sys.stdout.write(json.dumps([asdict(row) for row in rows], indent=2) + "\n")
-    else:
-        title = (
-            f"CPU ms of a stone of {arguments.size_mm:g} mm, {len(task.masks)} views, {task.n}^3 voxels, seed"
-            f" {arguments.seed}; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
-        )
-        Console(width=None if sys.stdout.isatty() else WIDTH).print(table_of(rows, title))
+    if arguments.out is not None:
+        arguments.out.write_text(json.dumps([asdict(row) for row in rows], indent=1))
+    title = (
+        f"CPU ms of a stone of {arguments.size_mm:g} mm, {len(task.masks)} views, {task.n}^3 voxels, seed"
+        f" {arguments.seed}; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+    )
+    show(table_of(rows, title), as_json=arguments.json, width=WIDTH)
     differing = [row for row in rows if row.is_same_hull and (row.differing or 0) > MAX_DIFFERING]
     for row in differing:
         Console(stderr=True).print(f"FAILED: the hull of {row.what} differs from ours")

@@ -23,13 +23,13 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.cluster import LocalCluster
 from support.daemon_process import STONEFALL, DaemonProcess, free_port
 from support.eventually import eventually
+from support.printed import show
 from support.remeasuring import make_old
 from support.stone_recording import write_stones
 from support.stores import folder_of
@@ -80,13 +80,14 @@ def main() -> int:
     parser.add_argument("--size-mm", type=float, default=8)
     parser.add_argument("--folder", type=Path, help="for the archive, kept")
     parser.add_argument("--by", type=Kind, nargs="*", default=list(Kind), help=", ".join(Kind))
+    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     kept = nullcontext(str(arguments.folder)) if arguments.folder else tempfile.TemporaryDirectory()
     with kept as name, tempfile.TemporaryDirectory(dir="/dev/shm") as spool:
         folder = Path(name)
         fill_archive(folder, spool, arguments)
         runs = [remeasured(folder, spool, kind) for kind in arguments.by]
-    return report(runs)
+    return report(runs, as_json=arguments.json)
 
 
 def daemon_of(folder: Path, spool: str, n_stones: int, *, loop: bool) -> DaemonProcess:
@@ -188,7 +189,7 @@ def run_of(folder: Path, kind: Kind, last_seq: int) -> Run:
     )
 
 
-def report(runs: list[Run]) -> int:
+def report(runs: list[Run], *, as_json: bool) -> int:
     table = Table(
         "measured again by", "stones", "first to last revision s", "stones a second", "equal to the first"
     )
@@ -202,7 +203,7 @@ def report(runs: list[Run]) -> int:
             f"{(len(run.results) - 1) / run.revising_s:.1f}",
             "yes" if is_equal else "NO",
         )
-    Console().print(table)
+    show(table, as_json=as_json)
     return 0 if all(are_equal) else 1
 
 

@@ -14,11 +14,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from statistics import median
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.printed import show
 
 from pipeline.arrays import Directions, PointsMM, Vector
 from pipeline.estimate import inner
@@ -72,6 +76,7 @@ def main() -> int:
     parser.add_argument("--stones", type=int, default=4)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--repeat", type=int, default=15)
+    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     isolate_numba_cache()
     initialize(worker_context())
@@ -85,7 +90,7 @@ def main() -> int:
         f"stones of {arguments.size_mm:g} mm, {whole_ms:.1f} ms each; load {os.getloadavg()[0]:.1f}"
         f" on {os.cpu_count()} cores"
     )
-    Console(width=None if sys.stdout.isatty() else 120).print(table_of(rows, whole_ms, title))
+    show(table_of(rows, whole_ms, title), as_json=arguments.json, width=120)
     dispensable = [row for row in rows if row.saved_percent(whole_ms) < WORTH_PERCENT]
     for row in dispensable:
         Console(stderr=True).print(f"FAILED: {row.peer} does as well as ours for the {row.what}")

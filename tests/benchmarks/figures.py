@@ -4,7 +4,8 @@
     .venv/bin/python tests/benchmarks/figures.py                   writes the tables alone
 
 `figures.json` has every figure with its command, body, lens, algorithm, date and the processor's speed; `figures.md`
-every table as a guide has it, with `{figure:format}` in the place of each figure. A test compares the guides.
+every table as a guide has it, with `{figure:format}` in the place of each figure; of a cell that a command printed,
+`{figure:}` is all of it and `{figure:1}` its second number. A test compares the guides.
 """
 
 import argparse
@@ -16,13 +17,15 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
 FIGURES, TABLES = ROOT / "tests/benchmarks/figures.json", ROOT / "tests/benchmarks/figures.md"
 PLACE = re.compile(r"\{([^{}:]+):([^{}]*)\}")
-"""A figure in a table: its name, and how Python formats it."""
+"""A figure in a table: its name, and how Python formats it or which number of a cell it is."""
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 TABLE = re.compile(r"^## (?P<guide>\S+): (?P<name>.+)\n\n(?P<text>(?:.+\n)+)", re.MULTILINE)
 
 
@@ -31,7 +34,7 @@ class Run:
     """A command that prints JSON, and how its figures are called."""
 
     command: str
-    figures_of: Callable[[Any], Iterator[tuple[str, float]]]
+    figures_of: Callable[[Any], Iterator[tuple[str, float | str]]]
     lens: str | None = None
     body: str | None = None
 
@@ -70,6 +73,40 @@ def of_sizes(document: Any) -> Iterator[tuple[str, float]]:
         yield from ((f"{where}/{name}", value) for name, value in row.items() if _is_figure(value))
 
 
+def of_scaling(document: Any) -> Iterator[tuple[str, float]]:
+    """Yield the figures of `stonefall benchmark --scaling`."""
+    yield from ((f"grows/{name}", value) for name, value in document["exponents"].items())
+    yield from ((f"{row['n_views']} views", row["total_ms"]) for row in document["views"])
+    yield from ((f"{row['n_workers']} workers", row["stones_per_s"]) for row in document["workers"])
+
+
+NAMES = {
+    "",
+    "body",
+    "by",
+    "case",
+    "condition",
+    "fields",
+    "goal",
+    "lens",
+    "measured again by",
+    "segmenter",
+    "stage",
+}
+NAMES |= {"all turns of", "form", "healthy stones", "cameras", "indices", "recalibrated after turns of"}
+"""Headings of columns that name a row, where they are a table's first ones."""
+
+
+def of_cells(document: Any) -> Iterator[tuple[str, str]]:
+    """Yield the cells of what `support.printed.show` printed: what names the row, and the heading up to a colon."""
+    named: dict[str, str] = {}
+    for row in document:
+        names = list(takewhile(NAMES.__contains__, row))
+        named = {name: row[name] or named[name] for name in names}
+        where = "/".join([*named.values(), ""])
+        yield from ((where + heading.partition(":")[0], row[heading]) for heading in row.keys() - names)
+
+
 RUNS: Mapping[str, Run] = {
     "accuracy": Run(
         command="stonefall benchmark --accuracy --rigs ours --bodies sphere,cylinder,cube,stones --json",
@@ -87,6 +124,69 @@ RUNS: Mapping[str, Run] = {
         for lens in ("sharp", "f8", "f4", "f2")
     },
     "times": Run(command="stonefall benchmark --poses 5 --json", figures_of=of_sizes, body="as named"),
+    "scaling": Run(command="stonefall benchmark --scaling --poses 2 --json", figures_of=of_scaling),
+    **{
+        f"refined-{lens}": Run(
+            command="stonefall benchmark --accuracy --bodies sphere,cylinder,cube,stones,dented --poses 3"
+            f" --rigs true --seed 2 --lens {lens} --json",
+            figures_of=of_bodies,
+            lens=lens,
+            body="as named",
+        )
+        for lens in ("f8", "f2")
+    },
+    "concave": Run(
+        command="stonefall benchmark --accuracy --rigs ours --bodies irregular --lens sharp --json",
+        figures_of=of_bodies,
+        lens="sharp",
+        body="as named",
+    ),
+    **{
+        name: Run(command=f"tests/{command} --json", figures_of=of_cells, lens=lens, body=body)
+        for name, command, lens, body in (
+            ("segmentation", "benchmarks/segmentation.py --views 5 --seed 42000", "as named", None),
+            ("peers", "benchmarks/carving.py", "sharp", "hull"),
+            (
+                "sustained",
+                "benchmarks/sustained.py --rates 4,10 --seconds 30 --queue 150 --body estimate",
+                "sharp",
+                "estimate",
+            ),
+            (
+                "long",
+                "benchmarks/sustained.py --rates 10 --seconds 300 --burst 0 --queue 150 --body estimate",
+                "sharp",
+                "estimate",
+            ),
+            ("refined-load", "benchmarks/sustained.py --rates 4,10 --seconds 30 --burst 0", "sharp", "photo"),
+            ("live", "benchmarks/live.py --seconds 40", "sharp", "photo"),
+            ("live-network", "benchmarks/live.py --seconds 30 --segmenter onnx", "sharp", "photo"),
+            ("deaths", "benchmarks/camera_deaths.py --deaths 5", "sharp", "hull"),
+            (
+                "readers",
+                "benchmarks/readers.py --seconds 25 --phases calm,polls,calm,pages,calm,cheap,calm,rude,calm,viewers",
+                "sharp",
+                "photo",
+            ),
+            (
+                "lots",
+                "benchmarks/readers.py --seconds 25 --before 10000 --phases calm,lots",
+                "sharp",
+                "photo",
+            ),
+            ("pull", "benchmarks/pull.py", None, None),
+            ("priorities", "benchmarks/priorities.py", "sharp", "as named"),
+            ("start", "benchmarks/start.py", None, None),
+            ("cluster", "benchmarks/cluster.py --by 1 2", "sharp", "photo"),
+            ("uncertainty", "accuracy/uncertainty.py --seed 2", "as named", "photo"),
+            ("refinement", "accuracy/refinement.py", "f2", "photo"),
+            ("refinement-8", "accuracy/refinement.py --bodies dented --size-mm 8", "f2", "photo"),
+            ("surfaces", "accuracy/surfaces.py --seed 113 --count 1", "as named", "photo"),
+            ("bumps", "accuracy/bumps.py --recalibrate", "sharp", None),
+            ("bumps-f2", "accuracy/bumps.py --lens f2 --turns 0.01 0.1 --recalibrate", "f2", None),
+            ("gradation", "accuracy/gradation.py --seed 1", "f2", "photo"),
+        )
+    },
 }
 
 
@@ -98,7 +198,7 @@ def measure(name: str) -> dict[str, dict[str, Any]]:
     run = RUNS[name]
     words = shlex.split(run.command)
     program = [sys.executable] if words[0].endswith(".py") else [Path(sys.executable).with_name(words.pop(0))]
-    answer = subprocess.run([*program, *words], check=True, stdout=subprocess.PIPE, cwd=ROOT)
+    answer = subprocess.run([*program, *words], check=False, stdout=subprocess.PIPE, cwd=ROOT)
     source = {
         "command": run.command,
         "body": run.body,
@@ -127,7 +227,10 @@ def tables(figures: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[Path, str
     """Yield guide, name and text of each table; `KeyError` for a figure that was never measured."""
 
     def written(place: re.Match[str]) -> str:
-        return format(figures[place[1]]["value"], place[2])
+        value = figures[place[1]]["value"]
+        if isinstance(value, str):
+            return NUMBER.findall(value)[int(place[2])] if place[2] else value
+        return format(value, place[2])
 
     for match in TABLE.finditer(TABLES.read_text(encoding="utf-8")):
         yield ROOT / match["guide"], match["name"], PLACE.sub(written, match["text"])

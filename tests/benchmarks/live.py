@@ -20,6 +20,7 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.daemon_process import STONEFALL, DaemonProcess, descendants_of
+from support.printed import show
 from support.simulator_process import SimulatorProcess
 from support.stone_recording import write_stones
 from support.usage import cpu_s, percentiles, rss_mb
@@ -49,6 +50,7 @@ def main() -> int:
         default="auto",
         help="onnx: the network segments every view",
     )
+    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory(dir="/dev/shm") as spool:
         folder = Path(name)
@@ -139,7 +141,7 @@ def report(
         if cameras[camera]["frames"] + cameras[camera]["failed_frames"] != seen["frames"]
     ]
     table = Table(
-        "", "", title=f"{arguments.seconds:g} s, {arguments.rate:g} stones/s of {arguments.size_mm:g} mm"
+        "", "found", title=f"{arguments.seconds:g} s, {arguments.rate:g} stones/s of {arguments.size_mm:g} mm"
     )
     rows = {
         "stones that fell (simulator)": counted["belt"]["stones"],
@@ -186,7 +188,7 @@ def report(
     }
     for name, value in rows.items():
         table.add_row(name, str(value))
-    Console(width=130).print(table)
+    show(table, as_json=arguments.json, width=130)
     problems = {
         "a stone has no trigger": counts["triggers"] != counted["belt"]["stones"],
         "the accounts do not add up": not counts["is_balanced"] or counts["in_progress"] != 0,
@@ -195,7 +197,7 @@ def report(
         "memory grows": growth_mb > MAX_GROWTH_MB,
     }
     for problem in (name for name, is_so in problems.items() if is_so):
-        Console().print(f"FAILED: {problem}")
+        Console(stderr=True).print(f"FAILED: {problem}")
     return int(any(problems.values()))
 
 

@@ -3,8 +3,8 @@
 Run: .venv/bin/pip install --require-hashes -r deploy/requirements-benchmark.lock
      .venv/bin/stonefall benchmark --poses 5 --json > stages.json
      .venv/bin/stonefall benchmark --scaling --poses 2 --json > scaling.json
-     .venv/bin/python tests/benchmarks/carving.py --json > peers.json
-     .venv/bin/python tests/benchmarks/sustained.py --rates 4,10 --seconds 60 --queue 150 --json > latency.json
+     .venv/bin/python tests/benchmarks/carving.py --out peers.json
+     .venv/bin/python tests/benchmarks/sustained.py --rates 4,10 --seconds 60 --queue 150 --out latency.json
      .venv/bin/python tests/accuracy/uncertainty.py --out uncertainty.json
      .venv/bin/python tests/benchmarks/plots.py stages.json scaling.json peers.json latency.json uncertainty.json
 

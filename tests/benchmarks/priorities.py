@@ -20,12 +20,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.daemon_process import DaemonProcess
 from support.eventually import eventually
+from support.printed import show
 from support.simulator_process import SimulatorProcess
 from support.stone_recording import write_stones
 from support.usage import percentiles
@@ -169,6 +169,7 @@ def main() -> int:
     parser.add_argument(
         "--queue", type=int, default=60, help="bundles that may wait; more are lost, after they are complete"
     )
+    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     table = Table(
         "",
@@ -190,7 +191,7 @@ def main() -> int:
                 outcomes[condition] = outcome = measure(condition, folder, simulator, arguments)
             cells = percentiles(outcome.latency_ms), str(outcome.incomplete), f"{outcome.loop_ms:.0f}"
             table.add_row(condition.name, str(len(outcome.latency_ms)), *cells)
-    Console(width=130).print(table)
+    show(table, as_json=arguments.json, width=130)
     return int(any(outcome.incomplete for condition, outcome in outcomes.items() if condition.weight))
 
 

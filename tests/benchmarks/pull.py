@@ -15,8 +15,10 @@ from pathlib import Path
 if __package__ is None:
     sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[2])]
 
+from rich.table import Table
 from support.daemon_process import PATIENCE_S, STONEFALL, DaemonProcess
 from support.eventually import eventually
+from support.printed import show
 from support.reference_client import start_client
 from support.small_recording import write_small_recording
 
@@ -24,7 +26,10 @@ from support.small_recording import write_small_recording
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--results", type=int, default=10_000)
-    n = parser.parse_args().results
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    n = arguments.results
+    table = Table("fields", "results", "s")
     with tempfile.TemporaryDirectory(prefix="pull-") as name:
         folder = Path(name)
         recording = folder / "recording"
@@ -38,7 +43,8 @@ def main() -> None:
             daemon.hear("READY=1")
             url = daemon.url("").removesuffix("/api/v1")
             for fields in ("lean", "all"):
-                print(f"{n} results, fields {fields}: {pulled_s(url, folder / fields, fields, n):.1f} s")  # noqa: T201
+                table.add_row(fields, str(n), f"{pulled_s(url, folder / fields, fields, n):.1f}")
+    show(table, as_json=arguments.json)
 
 
 def multiply_newest(database: Path, n: int) -> None:

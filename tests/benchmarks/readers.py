@@ -38,6 +38,7 @@ from sustained import DRAIN_S, LOOK_S, RIG, Watched
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.daemon_process import STONEFALL, DaemonProcess, descendants_of, process_name
 from support.outcomes import add
+from support.printed import show
 from support.stone_recording import ROUND_GAP_S, write_paced, write_stones
 from support.stores import folder_of
 from support.usage import cpu_s, pss_mb
@@ -78,6 +79,7 @@ def main() -> int:
     parser.add_argument("--recording", type=Path, help="stones are rendered here, or taken from here")
     parser.add_argument("--before", type=int, default=N_WITH_MESH, help="stones in the store before")
     parser.add_argument("--phases", default="calm,polls,calm,pages,calm,cheap")
+    parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name, tempfile.TemporaryDirectory(dir="/dev/shm") as spool:
         folder = Path(name)
@@ -244,7 +246,7 @@ def report(phases: list[Phase], arguments: Any) -> int:
             busy,
             f"{phase.memory_mb:.0f}",
         )
-    Console(width=None if sys.stdout.isatty() else 150).print(table)
+    show(table, as_json=arguments.json)
     for problem in problems:
         Console(stderr=True).print(f"FAILED: {problem}")
     return int(any(problems))

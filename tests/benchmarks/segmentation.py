@@ -6,7 +6,6 @@ U2-Net-p takes part once `stonefall models fetch` has been run. Milliseconds are
 """
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -20,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.mask_segmenters import difference, plain_difference
+from support.printed import show
 from support.segmentation_tables import (
     AUTO,
     BACKGROUND,
@@ -29,7 +29,6 @@ from support.segmentation_tables import (
     U2NETP,
     Outcome,
     accuracy_table,
-    as_json,
     remark,
     time_table,
 )
@@ -81,16 +80,16 @@ def main() -> int:
     segmenters, missing = all_segmenters(arguments.models)
     segmenters = {name: each for name, each in segmenters.items() if name in arguments.segmenters}
     outcomes, plain, bare = run(segmenters, arguments)
-    if arguments.json:
-        sys.stdout.write(json.dumps([as_json(outcome) for outcome in outcomes], indent=2) + "\n")
-        return 0
-    console = Console(width=None if sys.stdout.isatty() else WIDTH)
     first, last = arguments.seed, arguments.seed + arguments.views - 1
-    console.print(accuracy_table(outcomes, f"{arguments.views} views a case, seeds {first} to {last}"))
-    console.print(time_table(outcomes, plain, bare))
+    show(
+        accuracy_table(outcomes, f"{arguments.views} views a case, seeds {first} to {last}"),
+        time_table(outcomes, plain, bare),
+        as_json=arguments.json,
+        width=WIDTH,
+    )
     for name in arguments.segmenters:
         if name in missing:
-            console.print(f"{name}: {missing[name]}")
+            Console(stderr=True).print(f"{name}: {missing[name]}")
     return 0
 
 

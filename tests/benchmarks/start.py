@@ -26,6 +26,7 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.daemon_process import STONEFALL, DaemonProcess, descendants_of
+from support.printed import show
 from support.small_recording import write_small_recording
 from support.usage import cpu_s, own_mb, rss_mb
 
@@ -52,6 +53,7 @@ def main() -> int:
     )
     parser.add_argument("--slots", type=int, default=2)
     parser.add_argument("--repeat", type=int, default=3, help="warm starts")
+    parser.add_argument("--json", action="store_true")
     parser.add_argument("--segmenter", choices=get_args(SegmenterKind), default="auto")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
@@ -75,10 +77,11 @@ def main() -> int:
             ", ".join(f"{mb:.0f}" for mb in each.memory_mb),
             ", ".join(f"{mb:.0f}" for mb in each.own_mb),
         )
-    console = Console(width=None if sys.stdout.isatty() else 110)
-    console.print(table)
+    show(table, as_json=arguments.json, width=110)
     modules = ", ".join(f"{name} {seconds:.1f}" for name, seconds in compiled_s.most_common())
-    console.print(f"compiled in {compiled_s.total():.1f} s of the processor: {modules}", highlight=False)
+    Console(stderr=True).print(
+        f"compiled in {compiled_s.total():.1f} s of the processor: {modules}", highlight=False
+    )
     return int(cold.ready_s > COLD_S or median(each.ready_s for each in warm) > WARM_S)
 
 

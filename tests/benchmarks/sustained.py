@@ -34,6 +34,7 @@ from rich.table import Table
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.daemon_process import DaemonProcess
 from support.lock_probe import LONG_S, waits_ms
+from support.printed import show
 from support.stone_recording import ROUND_GAP_S, write_paced, write_stones
 from support.usage import cpu_s, own_mb, percentiles, rss_mb
 
@@ -117,6 +118,7 @@ def main() -> int:
     parser.add_argument("--queue", type=int, default=100, help="bundles that may wait")
     parser.add_argument("--recording", type=Path)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--out", type=Path, help="JSON of all runs, which tests/benchmarks/plots.py draws")
     arguments = parser.parse_args()
     plan = [
         (f"{float(rate):g}/s", float(rate), arguments.seconds) for rate in arguments.rates.split(",") if rate
@@ -132,10 +134,9 @@ def main() -> int:
         recording = open_recording(path)
         runs = [played(recording, run_name, rate_hz, s, arguments) for run_name, rate_hz, s in plan]
         read_ms = 1000 * float(np.median([seconds_to_read(recording) for _ in range(5)]))
-    if arguments.json:
-        sys.stdout.write(json.dumps([asdict(run) for run in runs], indent=2) + "\n")
-    else:
-        Console(width=None if sys.stdout.isatty() else 150).print(table_of(runs, read_ms, arguments))
+    if arguments.out is not None:
+        arguments.out.write_text(json.dumps([asdict(run) for run in runs], indent=1))
+    show(table_of(runs, read_ms, arguments), as_json=arguments.json)
     for run in runs:
         for problem in run.problems:
             Console(stderr=True).print(f"FAILED: {run.name}: {problem}")

@@ -55,8 +55,8 @@ def accuracy_table(outcomes: Sequence[Outcome], title: str) -> Table:
         " that edge; unknown: of the body's pixels; wrong: pixels beyond the rim"
     )
     for heading in (
-        "case", "segmenter", "found by", "IoU", "worst", "bias", "worst", "RMS", "seen %", "unknown %", "wrong %",
-        "status right", "not right", "ms CPU", "10-90 %",
+        "case", "segmenter", "found by", "IoU", "worst IoU", "bias", "worst bias", "RMS", "seen %", "unknown %",
+        "wrong %", "status right", "not right", "ms CPU", "10-90 %",
     ):  # fmt: skip
         table.add_column(heading, no_wrap=True)
     last_case = ""
