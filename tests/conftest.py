@@ -15,7 +15,7 @@ from support.eventually import PATIENCE_S
 from support.extents import extent_of, is_beyond, use_profile
 from support.renewed import HAS_FAILED
 
-from service.compiled_code import isolate_numba_cache
+from service.processing.compiled_code import isolate_numba_cache
 
 gc.disable()  # until all tests are imported: a third of the time was spent on walking what stays
 # as systemd/stonefall.service has it; before NumPy is imported: its threads only spin on matrices as small as ours

@@ -13,7 +13,7 @@ from pathlib import Path
 PACKAGES = ("pipeline", "drivers", "service", "deploy", "tests")
 ROOTS = ("", "deploy/", "tests/")
 """Where Python looks for modules: `service.x`, `gate.x`, `support.x`."""
-STARTS = {"stonefall": "service/cli.py"}
+STARTS = {"stonefall": "service/commands/cli.py"}
 """Name of a program that tests start -> file that it begins with."""
 PLUGIN = "tests/support/stores.py"
 """Fixtures that every test may ask for by name."""

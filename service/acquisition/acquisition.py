@@ -24,11 +24,7 @@ from service.acquisition.empty_rig import EmptyRigParameters, expose_empty_rig
 from service.acquisition.gate_watch import GateWatch
 from service.acquisition.rig_cameras import RigCameras
 from service.acquisition.shown_camera import ShownCamera
-from service.bundling.assembler import BundleAssembler
-from service.bundling.counters import BundlingCounters
-from service.bundling.parameters import BundlingParameters
-from service.bundling.window import MissingReason
-from service.status import (
+from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,
     AcquisitionTarget,
@@ -36,6 +32,10 @@ from service.status import (
     NotDisarmedError,
     next_state,
 )
+from service.bundling.assembler import BundleAssembler
+from service.bundling.counters import BundlingCounters
+from service.bundling.parameters import BundlingParameters
+from service.bundling.window import MissingReason
 
 log = logging.getLogger(__name__)
 

@@ -14,7 +14,7 @@ from typing import TypeVar
 from drivers.errors import DeviceError, LossCause
 from drivers.interfaces import Camera, CameraVitals, EventSink, LightGate
 from service.acquisition.common_cause import DeviceLoss
-from service.status import DeviceState
+from service.base.status import DeviceState
 
 log = logging.getLogger(__name__)
 

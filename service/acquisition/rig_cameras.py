@@ -16,9 +16,9 @@ from pipeline.frames import CameraId, Frame, FrameBundle, Image
 from service.acquisition.common_cause import common_cause
 from service.acquisition.device_keeper import DeviceKeeper
 from service.acquisition.exposure_skew import ExposureSkew
+from service.base.status import CameraStatus, DeviceState
 from service.bundling.counters import BundlingCounters, CameraCounters
 from service.bundling.window import MissingReason
-from service.status import CameraStatus, DeviceState
 
 log = logging.getLogger(__name__)
 

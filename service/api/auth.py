@@ -15,7 +15,6 @@ from fastapi import Depends, Request, Security
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from drivers.files.times import utc_now
-from service.addresses import host_of, is_loopback
 from service.api.clients import host_of_client
 from service.api.context import ApiContext, Context
 from service.api.idempotency import begin_attempt
@@ -26,7 +25,8 @@ from service.api.problems import Problem
 from service.api.session_cookies import require_own_page, session_cookie
 from service.api.sessions import Key, Session
 from service.api.settings import Scope
-from service.errors import StoreError
+from service.base.addresses import host_of, is_loopback
+from service.base.errors import StoreError
 
 log = logging.getLogger(__name__)
 

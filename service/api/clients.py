@@ -4,7 +4,7 @@ from ipaddress import IPv6Address, ip_network
 
 from starlette.requests import Request
 
-from service.addresses import address_of
+from service.base.addresses import address_of
 
 IPV6_NETWORK_BITS = 64
 """An IPv6 host can choose among the addresses of its network."""

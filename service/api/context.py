@@ -16,7 +16,7 @@ from service.api.reader_process import Reading
 from service.api.sessions import Sessions
 from service.api.settings import ApiSettings
 from service.api.shared_answers import SharedAnswers
-from service.errors import StoreError
+from service.base.errors import StoreError
 from service.store import Store
 from service.store.outcome_counts import OutcomeCounts, outcome_counts
 

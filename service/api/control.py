@@ -11,15 +11,7 @@ from prometheus_client import Histogram
 
 from drivers.interfaces import CameraVitals
 from pipeline.frames import CameraId, Image
-from service.alarms.alarms import Alarms
-from service.calibration.calibrations import Calibrations
-from service.delivery.webhooks import Webhooks
-from service.diagnostics.inputs import Inputs
-from service.health.facts import Facts
-from service.lots.shifts import LotsSettings
-from service.recording.recordings import Recordings
-from service.remeasuring.remeasuring import Remeasuring
-from service.status import (
+from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,
     AcquisitionTarget,
@@ -27,6 +19,14 @@ from service.status import (
     ConfigurationState,
     Health,
 )
+from service.calibration.calibrations import Calibrations
+from service.delivery.webhooks import Webhooks
+from service.health.alarms.alarms import Alarms
+from service.health.facts import Facts
+from service.host.diagnostics.inputs import Inputs
+from service.lots.shifts import LotsSettings
+from service.recording.recordings import Recordings
+from service.remeasuring.remeasuring import Remeasuring
 
 
 class Control(Protocol):

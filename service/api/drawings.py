@@ -3,7 +3,7 @@
 import sqlite3
 from dataclasses import dataclass
 
-from service.language import Language
+from service.base.language import Language
 from service.lots.evaluation import lot_figures, passing_of, window_figures
 from service.lots.figures import LotFigures
 from service.lots.stored_stones import ALL_STONES, Choice, stones_of_lot

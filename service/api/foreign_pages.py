@@ -7,9 +7,9 @@ page could write (a form needs no permission), and, when its own name leads to t
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.addresses import address_of, host_of, is_loopback
 from service.api.problems import Problem, problem_response
 from service.api.settings import ApiSettings
+from service.base.addresses import address_of, host_of, is_loopback
 
 READING = frozenset({"GET", "HEAD", "OPTIONS"})
 

@@ -23,7 +23,7 @@ from drivers.files.durable import replacing
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
 from service.api.settings import KEY_NAME, Scope
-from service.errors import ServiceError
+from service.base.errors import ServiceError
 
 KEYS, LOCK = "keys.json", ".keys.lock"
 PREFIX = "stonefall_"

@@ -9,10 +9,10 @@ from pathlib import Path
 from drivers.files.times import utc_now
 from service.api.renditions import NotKeptError, preview_png
 from service.api.version import API_VERSION
+from service.base.errors import ServiceError, WorkerFailure
+from service.base.language import Language
 from service.delivery.file_drop import LotFiles
 from service.delivery.settings import DropFormat
-from service.errors import ServiceError, WorkerFailure
-from service.language import Language
 from service.lots.evaluation import lot_figures
 from service.lots.figures import LotFigures
 from service.lots.laboratory import StoredSieving, sievings

@@ -17,12 +17,12 @@ from prometheus_client.registry import Collector
 
 from pipeline.views.quality import Quality
 from service.api.version import API_VERSION
+from service.base.status import AcquisitionState, CameraOptics, CameraStatus, CheckStatus, DeviceState, Ne107
 from service.calibration.verifications import Verification
 from service.health.assessment import assess
 from service.health.facts import Facts
 from service.results.fields import LossReason, Outcome, Verified
 from service.results.version import ALGORITHM_VERSION
-from service.status import AcquisitionState, CameraOptics, CameraStatus, CheckStatus, DeviceState, Ne107
 from service.store.outcome_counts import OutcomeCounts
 
 DELAYS_S = (0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.8, 1.0, 1.5, 2.0, 5.0, 10.0, 30.0)

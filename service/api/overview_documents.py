@@ -7,11 +7,12 @@ from pydantic import BaseModel, Field
 
 from pipeline.frames import CameraId
 from pipeline.gradation.specification import Verdict
-from service.alarms.alarm import AlarmState
-from service.alarms.rules import Priority
+from service.base.schema import TIME
+from service.base.status import AcquisitionStatus, CameraOptics, CameraStatus, DeviceState, Ne107
+from service.health.alarms.alarm import AlarmState
+from service.health.alarms.rules import Priority
 from service.lots.figures import Decision, Figure
-from service.results.fields import TIME, Outcome, Verified
-from service.status import AcquisitionStatus, CameraOptics, CameraStatus, DeviceState, Ne107
+from service.results.fields import Outcome, Verified
 
 
 class OverviewAcquisition(BaseModel):

@@ -15,8 +15,6 @@ from datetime import UTC, datetime
 import numpy as np
 
 from drivers.files.times import utc_now
-from service.alarms.alarm import Alarm, AlarmState
-from service.alarms.rules import Priority
 from service.api.control import Control
 from service.api.overview_documents import (
     PASSING,
@@ -33,8 +31,10 @@ from service.api.overview_documents import (
 from service.api.overview_rows import Rows, overview_figures, overview_rows
 from service.api.reader_process import Reading
 from service.api.shared_answers import SharedAnswers
+from service.base.errors import ServiceError, StoreError
 from service.calibration.calibrations import Calibrations
-from service.errors import ServiceError, StoreError
+from service.health.alarms.alarm import Alarm, AlarmState
+from service.health.alarms.rules import Priority
 from service.health.assessment import assess
 from service.lots.yardsticks import Request
 from service.store import Store, read

@@ -12,15 +12,15 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.routing import compile_path
 
-from service.alarms.machine import AlarmConflictError
 from service.api.reader_process import BusyError
 from service.api.request_ids import HEADER, request_id_of
+from service.base.errors import StoreError, TooManyError
+from service.base.status import ConflictError, NotDisarmedError
 from service.calibration.states import CalibrationConflictError
-from service.errors import StoreError, TooManyError
+from service.health.alarms.machine import AlarmConflictError
 from service.lots.lots import LotConflictError
 from service.lots.stored_stones import UnknownChoiceError
 from service.lots.yardsticks import UnknownYardstickError
-from service.status import ConflictError, NotDisarmedError
 from service.store.trouble import Cause
 
 log = logging.getLogger(__name__)

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Protocol, TypeVar
 
-from service.errors import ServiceError
+from service.base.errors import ServiceError
 from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError
 from service.processing.worker_process import WarmUp
 

@@ -3,10 +3,10 @@
 from service.api.control import Control
 from service.api.lot_reports import ReportRequest, lot_files
 from service.api.reader_process import Reading
+from service.base.language import Language
 from service.calibration.verifications import Verification, VerificationState
 from service.delivery.file_drop import LotFiles, MakeFiles
 from service.delivery.settings import FileDropSettings
-from service.language import Language
 from service.lots.yardsticks import Request
 from service.reports.report import LastVerification, ReportFormat, VerificationOutcome
 from service.results.fields import Verified

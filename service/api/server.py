@@ -10,7 +10,7 @@ from fastapi import FastAPI
 
 from service.api.connections import Connection, drop_hindering, max_connections
 from service.api.settings import ApiSettings
-from service.errors import ServiceError
+from service.base.errors import ServiceError
 
 MAX_ACCEPTED_AT_ONCE = 64
 """Connections accepted in one round of the loop: these come on top of the limit, and hold the loop meanwhile."""

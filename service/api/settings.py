@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from ipaddress import ip_network
 
-from service.addresses import address_of, is_host, is_loopback
+from service.base.addresses import address_of, is_host, is_loopback
 
 KEY_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 """Name of a key that `stonefall keys` creates."""

@@ -19,7 +19,7 @@ from service.api.pages import FeedPage, server_sent
 from service.api.problems import Problem, failure_of, problem_document, store_unavailable
 from service.api.reader_process import BusyError
 from service.api.request_ids import request_id_of
-from service.errors import StoreError
+from service.base.errors import StoreError
 
 log = logging.getLogger(__name__)
 

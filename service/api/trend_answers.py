@@ -3,13 +3,13 @@
 import sqlite3
 
 from pipeline.gradation.sieves import MeasuredRange
-from service.language import Language
+from service.base.language import Language
 from service.lots.comparing import Side, compare_lots
+from service.lots.trends.changes import changes
+from service.lots.trends.trend import trend
 from service.lots.yardsticks import Request
 from service.reports.changes import with_sentences
 from service.reports.trend import TrendFigure, trend_svg
-from service.trends.changes import changes
-from service.trends.trend import trend
 
 
 def trend_json(connection: sqlite3.Connection, now: str, hours: float, measured: MeasuredRange) -> str:

@@ -18,6 +18,8 @@ from drivers.errors import RecordingError
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
 from pipeline.rig.cameras import RigCalibration
+from service.base.errors import StoreError
+from service.base.status import AcquisitionState, CalibrationFacts
 from service.calibration.collecting import DropCollector
 from service.calibration.details import CalibrationDetails, calibration_details
 from service.calibration.drop_files import ObservedDrop, keep_drop
@@ -33,10 +35,8 @@ from service.calibration.states import (
     next_state,
 )
 from service.calibration.verifications import Verification, VerificationPlan, Verifications
-from service.errors import StoreError
 from service.processing.measure_job import RigFile
 from service.results.fields import Verified
-from service.status import AcquisitionState, CalibrationFacts
 
 log = logging.getLogger(__name__)
 

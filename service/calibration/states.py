@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from enum import StrEnum
 
-from service.errors import ServiceError
+from service.base.errors import ServiceError
 
 
 class CalibrationState(StrEnum):

@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from service.alarms.printed import as_text
+from service.base.language import Language
 from service.commands.daemon_client import DEFAULT_URL, AsJson, Key, Url, ask
-from service.language import Language
+from service.health.alarms.printed import as_text
 
 
 def command(

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
+from service.base.errors import StoreError
 from service.configuration.settings import load_settings
-from service.errors import StoreError
 from service.store import read
 from service.store.audit import check_chain, kept_digests
 from service.store.history import DATABASE

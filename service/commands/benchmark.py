@@ -19,23 +19,23 @@ from pipeline.synthesis.bodies import Body, SurfaceKind, body_from_mesh
 from pipeline.synthesis.exposure import LensPreset
 from pipeline.synthesis.irregular_bodies import IRREGULAR_FORMS
 from pipeline.synthesis.stones import STONE_FORMS
-from service.benchmarks import paper as paper_bench
-from service.benchmarks.accuracy import (
+from service.base.errors import UsageError
+from service.commands.benchmarks import paper as paper_bench
+from service.commands.benchmarks.accuracy import (
     RIGS,
     BenchPlan,
     BenchResult,
     RigName,
     run_accuracy_bench,
 )
-from service.benchmarks.accuracy_tables import accuracy_table, rig_lines, size_table, summaries_of
-from service.benchmarks.paper import STONES
-from service.benchmarks.performance import run_performance_bench
-from service.benchmarks.scaling import run_scaling_bench
-from service.benchmarks.tables import performance_tables, scaling_tables
+from service.commands.benchmarks.accuracy_tables import accuracy_table, rig_lines, size_table, summaries_of
+from service.commands.benchmarks.paper import STONES
+from service.commands.benchmarks.performance import run_performance_bench
+from service.commands.benchmarks.scaling import run_scaling_bench
+from service.commands.benchmarks.tables import performance_tables, scaling_tables
 from service.commands.looks import GlossOption, InterreflectionOption, SurfacesOption, looks_of
 from service.commands.shape import read_mesh
-from service.errors import UsageError
-from service.models.networks import load_model
+from service.processing.models.networks import load_model
 
 IRREGULAR = "irregular-bodies"
 MAX_RADIUS_MM = 24.0

@@ -38,11 +38,11 @@ from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.background import learn_background
 from pipeline.segmentation.mask_segmenter import MaskSegmenter
 from pipeline.segmentation.subtraction import BackgroundSegmenter
+from service.base.errors import UsageError
 from service.calibration.drops import observe_drop, solve_drops
 from service.calibration.plan import BALL_DIAMETERS_MM, Method
 from service.commands.calibration_report import print_ball_report, print_stone_report
-from service.errors import UsageError
-from service.models.networks import load_model
+from service.processing.models.networks import load_model
 
 
 def command(

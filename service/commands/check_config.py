@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import tomli_w
 import typer
 
+from service.base.errors import SettingsError
 from service.configuration.settings import load_settings, problems, shortcomings, warnings
-from service.errors import SettingsError
 
 
 def command(

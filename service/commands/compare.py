@@ -14,10 +14,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from service.base.errors import UsageError
 from service.commands.daemon_client import DEFAULT_URL, Key, Url
 from service.commands.results_file import read_results
 from service.commands.revised_stones import revisions_of_lot
-from service.errors import UsageError
 from service.lots.comparing import ComparedFigure, compared_figures
 from service.lots.evaluation import figures_of
 from service.lots.stone_changes import Group, Records, StoneChanges, beyond_limits, stone_changes

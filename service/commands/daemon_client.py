@@ -11,7 +11,7 @@ from urllib.parse import urlencode, urlsplit
 import typer
 
 from service.api.version import BASE
-from service.errors import ServiceError
+from service.base.errors import ServiceError
 
 TIMEOUT_S = 30.0
 DEFAULT_URL = "http://127.0.0.1:8080"

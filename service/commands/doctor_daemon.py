@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator
 
-from service.alarms.rules import load_rules
+from service.base.language import Language
 from service.commands.daemon_client import DaemonError, ask
+from service.health.alarms.rules import load_rules
 from service.host.finding import Finding, fault, judged, unknown
-from service.language import Language
 
 TIMEOUT_S = 5.0
 

@@ -17,11 +17,11 @@ from pipeline.frames import BundleKind, CameraId, FrameBundle
 from service.acquisition.acquisition import Acquisition
 from service.acquisition.empty_rig import EmptyRigParameters
 from service.acquisition.triggers import NoAccounting
+from service.base.status import AcquisitionTarget
 from service.bundling.parameters import BundlingParameters
 from service.configuration.rig_settings import AravisRigSettings
 from service.host.finding import Finding, fault, judged, unknown
 from service.host.host import Host
-from service.status import AcquisitionTarget
 
 PULSE_S = 30.0
 """Longest time from arming to the bundle of the test pulse: opening sixteen cameras, trigger delay, transfer."""

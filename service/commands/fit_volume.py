@@ -10,8 +10,8 @@ import numpy as np
 import typer
 
 from pipeline.measuring.volume_correction import fit_volume_model
+from service.base.errors import VolumeModelError
 from service.configuration.volume_models import write_volume_model
-from service.errors import VolumeModelError
 from service.results.fields import Outcome
 
 MAX_VOLUME_MM3 = 1e6

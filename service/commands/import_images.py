@@ -16,7 +16,7 @@ from drivers.files.png_file import read_png
 from drivers.files.recording import RecordingWriter
 from drivers.files.rig_file import read_rig
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger, rfc3339
-from service.errors import UsageError
+from service.base.errors import UsageError
 
 SPACING_NS = 250_000_000
 EXPOSURE_DELAY_NS = 247_400_000

@@ -13,11 +13,11 @@ from drivers.files.rig_file import read_rig, write_rig
 from drivers.gvcp import DiscoveredCamera, discover, local_addresses
 from pipeline.frames import CameraId
 from pipeline.rig.design import nominal_rig
+from service.base.errors import SettingsError, UsageError
 from service.commands.cameras import ipv4_address
 from service.commands.init_file import Answers, configuration_text
 from service.configuration.rig_settings import CameraPlace
 from service.configuration.settings import load_settings, problems, shortcomings
-from service.errors import SettingsError, UsageError
 
 GATES = Path("/dev/serial/by-id")
 COLUMNS = ("serial", "address", "user_name")

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from drivers.files.durable import write_file
+from service.base.errors import UsageError
 from service.commands.daemon_client import DEFAULT_URL, AsJson, Key, Url, ask, fetch
-from service.errors import UsageError
 
 FORMATS = ("html", "pdf", "csv", "xlsx")
 

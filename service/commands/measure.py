@@ -27,13 +27,13 @@ from pipeline.meshing import Mesher, MeshingParameters
 from pipeline.paper import PAPER
 from pipeline.particle import PipelineParameters
 from pipeline.rig.cameras import RigCalibration
+from service.base.errors import UsageError
+from service.base.language import Language
 from service.commands.lots import curve_table
 from service.commands.measured_recording import FOLDERS, RESULTS, measure_all
 from service.commands.measuring_pool import Executor, measuring_pool
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.settings import load_settings
-from service.errors import UsageError
-from service.language import Language
 from service.lots.evaluation import figures_of
 from service.lots.standards import read_standards
 from service.lots.stones import lot_of_records

@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
-from service.cluster.opening import open_cluster
-from service.errors import ServiceError
+from service.base.errors import ServiceError
 from service.processing.job_pool import JobPool
 from service.processing.measure_job import WorkerContext, prepare
 from service.processing.worker_pool import WorkerPool
+from service.remeasuring.cluster.opening import open_cluster
 
 DEADLINE_S = 600.0
 """Only a worker that hangs is ended: no stone waits here."""

@@ -10,8 +10,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from service.models.device import Device
-from service.models.networks import PUBLISHED, ModelEntry, default_models_dir, fetch_model, list_models
+from service.processing.models.device import Device
+from service.processing.models.networks import (
+    PUBLISHED,
+    ModelEntry,
+    default_models_dir,
+    fetch_model,
+    list_models,
+)
 
 command = typer.Typer(help="List, fetch and train the networks that segment images.")
 
@@ -78,7 +84,7 @@ def train(
 ) -> None:
     """Train our own network on rendered hard cases; needs the extra `train` (PyTorch)."""
     # imported here: it brings the renderer, which no other command of models needs
-    from service.models.training import TrainingPlan, train_network
+    from service.processing.models.training import TrainingPlan, train_network
 
     plan = TrainingPlan(seed=seed, n_views=views, n_steps=steps, batch=batch)
     description = train_network(

@@ -18,11 +18,11 @@ from drivers.files.durable import require_unused
 from drivers.files.rig_file import read_rig
 from service.acquisition.acquisition import INBOX_TRIGGERS, Acquisition
 from service.acquisition.triggers import NoAccounting
+from service.base.errors import ServiceError, SettingsError
+from service.base.status import AcquisitionState, AcquisitionTarget
 from service.configuration.settings import Settings, load_settings, problems
-from service.errors import ServiceError, SettingsError
 from service.recording.live_recording import EndedBy, LiveRecording
 from service.recording.recordings import require_room
-from service.status import AcquisitionState, AcquisitionTarget
 from service.store.lock import is_locked
 
 POLL_S = 0.1

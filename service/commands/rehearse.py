@@ -13,14 +13,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from service.errors import UsageError
-from service.language import Language
-from service.rehearsal.day import Day, merged
-from service.rehearsal.expected import as_text
-from service.rehearsal.recordings import RehearsedRecording, rehearsed_recording
-from service.rehearsal.rehearsed_daemon import HOST, RehearsedDaemon, free_port, is_free
-from service.rehearsal.rigs import ReplayedRig, Rig, SimulatedGigeRig
-from service.rehearsal.script import Script, script_of, scripts
+from service.base.errors import UsageError
+from service.base.language import Language
+from service.commands.rehearsal.day import Day, merged
+from service.commands.rehearsal.expected import as_text
+from service.commands.rehearsal.recordings import RehearsedRecording, rehearsed_recording
+from service.commands.rehearsal.rehearsed_daemon import HOST, RehearsedDaemon, free_port, is_free
+from service.commands.rehearsal.rigs import ReplayedRig, Rig, SimulatedGigeRig
+from service.commands.rehearsal.script import Script, script_of, scripts
 
 SETTINGS = {
     "spool": {"dir": "spool", "max_bundles": 100},

@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import RecordingError
-from service.cluster.opening import open_cluster
+from service.base.errors import UsageError
 from service.commands.daemon_client import ask
 from service.commands.measuring_pool import IN_FLIGHT
 from service.commands.remeasured_stones import Summary, noted_refusal
-from service.errors import UsageError
 from service.processing.job_pool import JobPool
 from service.processing.measure_job import measure
 from service.processing.worker_pool import JobLostError
+from service.remeasuring.cluster.opening import open_cluster
 from service.remeasuring.orders import MAX_OPEN, Order, read_context, read_order, write_record
 
 TRIES = 3

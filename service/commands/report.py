@@ -9,9 +9,9 @@ import typer
 from drivers.files.durable import write_file
 from drivers.files.times import utc_now
 from service.api.version import API_VERSION
+from service.base.errors import ServiceError, UsageError
+from service.base.language import Language
 from service.commands.results_file import read_results
-from service.errors import ServiceError, UsageError
-from service.language import Language
 from service.lots.evaluation import figures_of
 from service.lots.products import Product, ProductDefinition
 from service.lots.stored_stones import stones_in

@@ -4,8 +4,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from service.base.errors import ServiceError
 from service.commands.measured_recording import RESULTS
-from service.errors import ServiceError
 from service.results.fields import completed
 
 

@@ -4,8 +4,8 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from service.base.errors import UsageError
 from service.commands.daemon_client import all_pages, ask
-from service.errors import UsageError
 
 PAGE = 500
 REVISION = re.compile("r([0-9]{1,6})")

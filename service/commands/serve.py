@@ -12,8 +12,8 @@ from typing import Annotated, NoReturn
 import typer
 
 from service.acquisition.device_keeper import CONTROL_THREAD_SUFFIX
+from service.base.errors import SettingsError
 from service.daemon.systemd import configure_logging, service_manager
-from service.errors import SettingsError
 from service.host.machine import FILES
 from service.processing.fork_server import import_for_workers
 

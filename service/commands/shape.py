@@ -17,7 +17,7 @@ from drivers.errors import RecordingError
 from drivers.files.mesh_parsing import MESH_DAMAGE, parse_mesh
 from pipeline.errors import MeshError
 from pipeline.measuring import ShapeMeasurement, measure_shape
-from service.errors import UsageError
+from service.base.errors import UsageError
 from service.results.fields import MEASURED_FIELDS
 
 SUFFIXES = (".stl", ".ply", ".obj")

@@ -18,7 +18,7 @@ import typer
 
 from drivers.files.recording import open_recording
 from drivers.gige_simulator.rig import RigDesign, SimulatedRig
-from service.errors import UsageError
+from service.base.errors import UsageError
 from service.results.version import ALGORITHM_VERSION
 
 POLL_S = 0.1

@@ -25,9 +25,9 @@ from pipeline.synthesis.placement import SPREAD_MM, drop_across, tumble
 from pipeline.synthesis.renderer import simulate_rig
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
 from pipeline.synthesis.truth import truth_of, truth_to_document
+from service.base.errors import UsageError
 from service.commands.looks import GlossOption, InterreflectionOption, SurfacesOption, looks_of
 from service.commands.shape import read_mesh
-from service.errors import UsageError
 
 STANDARDS: dict[str, Callable[[], Body]] = {
     "ball": ball,

@@ -2,7 +2,7 @@
 
 from service.configuration.host_needs import host_needs
 from service.configuration.settings import Settings
-from service.diagnostics.inputs import Inputs, Secrets
+from service.host.diagnostics.inputs import Inputs, Secrets
 
 
 def diagnostic_inputs(settings: Settings) -> Inputs:

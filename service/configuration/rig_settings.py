@@ -26,8 +26,8 @@ from drivers.gates.serial_gate import SerialGateSettings
 from pipeline.fall import FALL_HEIGHT_MM, Fall, fall_time_ms, speed_mm_s
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
+from service.base.configured_paths import ConfiguredPath, resolve_path
 from service.bundling.parameters import BundlingParameters
-from service.configured_paths import ConfiguredPath, resolve_path
 from service.recording.live_recording import RecordingSource
 
 OPTICAL = ("cameras", "exposure_us", "flash_us", "strobe_line", "gain_db", "features")

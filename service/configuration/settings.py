@@ -22,15 +22,15 @@ from pipeline.views.quality import ViewsParameters
 from service.acquisition.empty_rig import EmptyRigParameters
 from service.api.key_file import KEYS, KeyFileError, StoredKey, read_keys
 from service.api.settings import ApiSettings, WithoutKeys
+from service.base.configured_paths import ConfiguredPath
+from service.base.errors import SettingsError, VolumeModelError
 from service.bundling.parameters import BundlingParameters
 from service.calibration.verification_limits import VerificationParameters
 from service.configuration.rig_checks import rig_problems, rig_warnings
 from service.configuration.rig_settings import BACKENDS, RigSettings
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.volume_models import MeasuringSettings
-from service.configured_paths import ConfiguredPath
 from service.delivery.settings import FileDropSettings, WebhooksSettings, delivery_shortcomings
-from service.errors import SettingsError, VolumeModelError
 from service.health.optical_watch import OpticalParameters
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import RecordingsSettings

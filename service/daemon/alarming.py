@@ -5,9 +5,9 @@ import logging
 import time
 from collections.abc import Callable
 
-from service.alarms.alarms import Alarms
+from service.base.status import AcquisitionState, Health, Ne107
 from service.calibration.verifications import Verification
-from service.status import AcquisitionState, Health, Ne107
+from service.health.alarms.alarms import Alarms
 from service.store.event_log import EventLog
 from service.store.events import EventType, NewEvent
 

@@ -4,7 +4,7 @@ import asyncio
 import logging
 import time
 
-from service.errors import StoreError
+from service.base.errors import StoreError
 from service.store import Store
 
 log = logging.getLogger(__name__)

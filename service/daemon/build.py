@@ -14,7 +14,6 @@ from drivers.replay.belt import ReplayBelt
 from pipeline.frames import CameraId, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.acquisition.acquisition import Acquisition
-from service.alarms.alarms import open_alarms
 from service.api.key_ring import KeyRing
 from service.api.metrics import result_delays
 from service.calibration.calibrations import Calibrations
@@ -32,6 +31,7 @@ from service.daemon.retaining import Retaining
 from service.daemon.running_daemon import Daemon, Watches
 from service.delivery.file_drop import open_file_drop
 from service.delivery.webhooks import open_webhooks
+from service.health.alarms.alarms import open_alarms
 from service.health.optical_watch import OpticalWatch
 from service.health.refinement_watch import RefinementWatch
 from service.health.rig_watch import RigWatch

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from drivers.files.times import utc_now
+from service.base.errors import ServiceError, StoreError
+from service.base.redaction import redacted
+from service.base.status import ConfigurationState
 from service.configuration.settings import Settings, load_settings, problems
-from service.errors import ServiceError, StoreError
-from service.redaction import redacted
-from service.status import ConfigurationState
 from service.store import Store
 from service.store.audit import CONFIGURATION, note_alone
 

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeVar, TypeVarTuple
 
-from service.errors import StoreError
+from service.base.errors import StoreError
 from service.recording.live_recording import RecordingState
 from service.recording.recordings import Recordings
 from service.store import Store

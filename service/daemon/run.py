@@ -12,20 +12,20 @@ from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 from socket import socket
 
-from service.addresses import is_loopback
 from service.api.app import create_app
 from service.api.reader_process import ReaderProcess, Reading
 from service.api.report_requests import files_maker
 from service.api.server import RestServer, listen, server_config
+from service.base.addresses import is_loopback
+from service.base.errors import StoreError
+from service.base.status import AcquisitionTarget
 from service.configuration.settings import Settings
 from service.daemon.build import build, lose_crashed
 from service.daemon.reloading import Configuration
 from service.daemon.running_daemon import Daemon
 from service.daemon.stopping import StopRequests
 from service.daemon.systemd import EXTENSION_US, ServiceManager, feed_watchdog, reloading
-from service.errors import StoreError
 from service.processing.process_memory import freeze_gc, keep_freed_memory
-from service.status import AcquisitionTarget
 from service.store import Store, open_store
 from service.store.trouble import Cause, trouble_of
 

@@ -16,8 +16,15 @@ from drivers.files.times import is_of_unset_clock, utc_now
 from drivers.interfaces import CameraVitals
 from pipeline.frames import CameraId, Image
 from service.acquisition.acquisition import Acquisition
-from service.alarms.alarms import Alarms
 from service.api.key_ring import KeyRing
+from service.base.status import (
+    AcquisitionState,
+    AcquisitionStatus,
+    AcquisitionTarget,
+    CameraStatus,
+    ConfigurationState,
+    Health,
+)
 from service.calibration.calibrations import Calibrations
 from service.configuration.diagnostic_inputs import diagnostic_inputs
 from service.configuration.settings import Settings
@@ -29,7 +36,7 @@ from service.daemon.reloading import Configuration
 from service.daemon.retaining import Retaining
 from service.delivery.file_drop import FileDrop
 from service.delivery.webhooks import Webhooks
-from service.diagnostics.inputs import Inputs
+from service.health.alarms.alarms import Alarms
 from service.health.assessment import assess
 from service.health.device_words import camera_ne107
 from service.health.facts import Facts
@@ -37,6 +44,7 @@ from service.health.optical_watch import OpticalWatch
 from service.health.refinement_watch import RefinementWatch
 from service.health.rig_watch import CameraScore, RigWatch
 from service.health.segmentation_watch import SegmentationWatch
+from service.host.diagnostics.inputs import Inputs
 from service.lots.shifts import LotsSettings
 from service.processing.left_bundles import LeftBundle
 from service.processing.processing import Processing
@@ -47,14 +55,6 @@ from service.processing.worker_pool import WorkerPool
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
-from service.status import (
-    AcquisitionState,
-    AcquisitionStatus,
-    AcquisitionTarget,
-    CameraStatus,
-    ConfigurationState,
-    Health,
-)
 from service.store import Store, StoreTrouble
 
 log = logging.getLogger(__name__)

@@ -15,9 +15,9 @@ from pathlib import Path
 
 from drivers.files.durable import remove_unfinished, write_file
 from drivers.files.times import utc_now
+from service.base.errors import ServiceError, StoreError
 from service.delivery.abandonable import start_abandonable
 from service.delivery.settings import DropFormat, FileDropSettings
-from service.errors import ServiceError, StoreError
 from service.store import Store
 from service.store.schema import transaction
 

@@ -16,11 +16,11 @@ from socket import SOCK_STREAM, getaddrinfo
 
 import h11
 
-from service.addresses import address_of
+from service.base.addresses import address_of
+from service.base.errors import ServiceError
 from service.delivery.abandonable import start_abandonable
 from service.delivery.progress import Answer
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
-from service.errors import ServiceError
 
 CHUNK_BYTES = 4096
 MAX_HEAD_BYTES = 32 * 1024

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 from pipeline.frames import rfc3339
+from service.base.errors import ServiceError, StoreError
 from service.delivery import table
 from service.delivery.message import Message, message_of, trial_message
 from service.delivery.posting import post
@@ -17,7 +18,6 @@ from service.delivery.progress import Answer, Progress, next_progress
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 from service.delivery.signatures import signatures
 from service.delivery.table import Delivery
-from service.errors import ServiceError, StoreError
 from service.store import Store
 
 log = logging.getLogger(__name__)

@@ -7,11 +7,7 @@ than specified has a check that names it.
 from collections.abc import Callable, Mapping
 
 from drivers.interfaces import ProcessState
-from service.health.device_words import gate_ne107, rig_ne107
-from service.health.facts import Facts
-from service.health.optical_watch import Severity
-from service.health.store_checks import disk, disk_days, retention, store
-from service.status import (
+from service.base.status import (
     AcquisitionState,
     CameraStatus,
     CheckStatus,
@@ -20,6 +16,10 @@ from service.status import (
     HealthCheck,
     Ne107,
 )
+from service.health.device_words import gate_ne107, rig_ne107
+from service.health.facts import Facts
+from service.health.optical_watch import Severity
+from service.health.store_checks import disk, disk_days, retention, store
 
 BLIND_TRIGGERS = 3
 """Triggers in a row without any image from which the line between gate and cameras is taken to be broken."""

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
+from service.base.status import AcquisitionStatus, CalibrationFacts, CameraStatus, DeviceState, Ne107
 from service.health.optical_watch import OpticalFinding, Severity
 from service.health.rig_watch import Suspicion
-from service.status import AcquisitionStatus, CalibrationFacts, CameraStatus, DeviceState, Ne107
 
 
 def camera_ne107(

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 
 from drivers.interfaces import CameraProcessStatus
 from pipeline.views.quality import ViewsParameters
+from service.base.status import AcquisitionStatus, CalibrationFacts, CameraStatus, ConfigurationState
 from service.health.optical_watch import OpticalFinding
 from service.health.refinement_watch import RefinementTrend
 from service.health.rig_watch import Suspicion
-from service.status import AcquisitionStatus, CalibrationFacts, CameraStatus, ConfigurationState
 from service.store.disk_use import RetentionFacts
 
 

@@ -17,8 +17,8 @@ from typing import Any
 
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
+from service.base.status import CameraOptics
 from service.health.dark_panels import DarkPlace, ViewLight, dark_places
-from service.status import CameraOptics
 
 WINDOW = 20
 """Latest exposures over which medians are taken."""

@@ -1,7 +1,7 @@
 """Health of the store: can it be written, how long does its disk suffice, was something removed unread."""
 
+from service.base.status import CheckStatus, HealthCheck
 from service.health.facts import Facts
-from service.status import CheckStatus, HealthCheck
 
 LOW_DISK_BYTES = 1 << 30
 """Free space on the store's file system below which health warns; below a tenth of it, the check fails."""

@@ -12,13 +12,13 @@ from pipeline.gradation.indices import is_flaky, is_non_cubical
 from pipeline.gradation.influences import Influences, share_influences, size_influences
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.stones import lot_of
+from service.base.status import Report
 from service.lots.evaluation import figures_of
 from service.lots.figures import Figure, LotFigures, named_figures
 from service.lots.lots import find_lot
 from service.lots.products import find_product
 from service.lots.stored_stones import ALL_STONES, Choice, Stones, stones_of_lot
 from service.lots.yardsticks import Request
-from service.status import Report
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,9 @@ from pydantic import Field
 
 from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.specification import Verdict
+from service.base.schema import TIME
+from service.base.status import Report
 from service.lots.lots import LotState
-from service.results.fields import TIME
-from service.status import Report
 
 
 class Figure(Report):

@@ -10,7 +10,7 @@ from typing import Any
 from drivers.files.times import utc_now
 from pipeline.gradation.correlation import Form, SievedLot, SizeMapping, Study, study
 from pipeline.gradation.stones import lot_of
-from service.errors import ServiceError, TooManyError
+from service.base.errors import ServiceError, TooManyError
 from service.lots.lots import LotState, lots
 from service.lots.stored_stones import stones_of_lot
 from service.store import audit

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from drivers.files.times import utc_now
-from service.errors import TooManyError
+from service.base.errors import TooManyError
 from service.store import audit
 from service.store.schema import transaction
 

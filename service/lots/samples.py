@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from pipeline.gradation.repeatability import Repeatability, repeatability
-from service.errors import ServiceError
+from service.base.errors import ServiceError
 from service.lots.evaluation import figures_of
 from service.lots.figures import LotFigures, named_figures
 from service.lots.lots import LotRecord, LotState, lots_of_sample

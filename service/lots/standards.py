@@ -14,7 +14,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveFloa
 from pipeline.gradation.indices import FlakinessFraction
 from pipeline.gradation.sieves import LeastPortions, SieveSet
 from pipeline.gradation.specification import Category, CategoryLimit, Limits, Specification
-from service.errors import StandardsError
+from service.base.errors import StandardsError
 
 FOLDER = Path(__file__).parent / "standards"
 SIEVES, SPECIFICATIONS = "sieves.toml", "specifications.toml"

@@ -10,7 +10,7 @@ from typing import Any
 
 from pipeline.frames import BundleKind
 from pipeline.gradation.stones import Fate, Stone, UnmeasuredStone
-from service.errors import ServiceError
+from service.base.errors import ServiceError
 from service.lots.stones import stone_of
 from service.results.refinement import why_not_refined
 

@@ -6,7 +6,7 @@ from functools import cache
 
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange, SieveSet
 from pipeline.gradation.specification import Limits, Specification, specification_of
-from service.errors import ServiceError
+from service.base.errors import ServiceError
 from service.lots.products import OwnLimits, ProductDefinition
 from service.lots.standards import Standards, read_standards
 

@@ -36,7 +36,7 @@ from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
 from pipeline.segmentation.silhouette import FoundBy
 from pipeline.view_mapper import ViewMapper
 from pipeline.views import consistency
-from service.errors import WorkerFailure
+from service.base.errors import WorkerFailure
 from service.processing.background_files import read_background, write_background
 from service.processing.process_memory import keep_freed_memory
 from service.processing.segmenters import CLASSICAL, SegmenterPlan, build_segmenter, warm_up

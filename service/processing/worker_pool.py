@@ -21,7 +21,7 @@ from contextlib import suppress
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 
-from service.errors import ServiceError, WorkerFailure
+from service.base.errors import ServiceError, WorkerFailure
 from service.processing.fork_server import ensure_fork_server
 from service.processing.job_pool import Job, Result
 from service.processing.process_memory import freeze_gc

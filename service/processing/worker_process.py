@@ -12,7 +12,7 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
-from service.errors import WorkerFailure
+from service.base.errors import WorkerFailure
 
 WarmUp = Callable[[], bool]
 """Loads or compiles something; returns whether something was compiled."""

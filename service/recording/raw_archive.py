@@ -20,7 +20,7 @@ from drivers.errors import RecordingError
 from drivers.files.bundle_file import Compression, read_bundle, read_header, write_bundle
 from drivers.files.durable import copy_past_cache, replacing, sync
 from pipeline.frames import CameraId, FrameBundle
-from service.errors import StoreError
+from service.base.errors import StoreError
 from service.processing.worker_pool import JobLostError, WorkerPool
 from service.processing.worker_process import WarmUp, worker_boundary
 

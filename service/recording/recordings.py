@@ -17,7 +17,7 @@ from typing import Any
 from drivers.files.bundle_file import Compression
 from pipeline.frames import BundleKind, FrameBundle
 from pipeline.rig.cameras import RigCalibration
-from service.errors import ServiceError
+from service.base.errors import ServiceError
 from service.recording.kept_recordings import (
     RECORDING_NAME,
     recording_in,

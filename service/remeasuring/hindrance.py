@@ -4,7 +4,7 @@ from enum import StrEnum
 
 from drivers.interfaces import FrameLossReason
 from pipeline.views.dropped import DropCause, DroppedView
-from service.errors import ServiceError
+from service.base.errors import ServiceError
 from service.store import Record
 
 DAMAGED = str(DroppedView(DropCause.NO_FRAME, FrameLossReason.DAMAGED))

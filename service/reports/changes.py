@@ -3,9 +3,9 @@
 from datetime import datetime, timedelta, tzinfo
 
 from pipeline.gradation.estimates import State
-from service.language import Language
+from service.base.language import Language
+from service.lots.trends.changes import ChangedFigure, Changes, EntryChanges, FigureChange
 from service.reports.words import Words, words
-from service.trends.changes import ChangedFigure, Changes, EntryChanges, FigureChange
 
 DECIMALS = {ChangedFigure.D50: 2}
 """Decimals of a figure's amount; 1 of the others."""

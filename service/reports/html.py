@@ -7,7 +7,7 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
-from service.language import Language
+from service.base.language import Language
 from service.reports.content import document_of
 from service.reports.drawing import Drawing
 from service.reports.pictures import readable_png

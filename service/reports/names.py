@@ -1,6 +1,6 @@
 """What curves and trends are called in a drawing."""
 
-from service.language import Language
+from service.base.language import Language
 from service.reports.words import words
 
 

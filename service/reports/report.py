@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from service.language import Language
+from service.base.language import Language
 from service.lots.figures import LotFigures
 
 Scalar = str | int | float | bool | None

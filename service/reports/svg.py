@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from html import escape
 
-from service.language import Language
+from service.base.language import Language
 from service.lots.figures import CurveStep
 from service.reports.curve import Beside, gradation_curve
 from service.reports.drawing import LABEL_SIZE, Area, Dot, Drawing, Label, Line, Point, Shape

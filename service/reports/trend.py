@@ -8,8 +8,9 @@ from itertools import groupby
 from math import floor, log10
 
 from pipeline.gradation.estimates import State
-from service.language import Language
+from service.base.language import Language
 from service.lots.figures import Figure
+from service.lots.trends.trend import DiaryDocument, Trend, TrendBucket
 from service.reports.drawing import (
     LABEL_SIZE,
     Anchor,
@@ -25,7 +26,6 @@ from service.reports.drawing import (
 )
 from service.reports.svg import svg
 from service.reports.words import Words, words
-from service.trends.trend import DiaryDocument, Trend, TrendBucket
 
 WIDTH, HEIGHT = 720.0, 268.0
 LEFT, RIGHT, TOP, BOTTOM = 58.0, 706.0, 26.0, 190.0

@@ -8,7 +8,7 @@ from functools import cache
 from math import isfinite
 from pathlib import Path
 
-from service.language import Language
+from service.base.language import Language
 from service.lots.figures import Figure
 from service.reports.texts import LONGEST_HEADING, abridged
 

@@ -11,19 +11,11 @@ from enum import StrEnum
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
-from pydantic.config import JsonDict
 
-TIME: JsonDict = {"format": "date-time"}
-"""Addition to the schema of a text that is a time, RFC 3339."""
+from service.base.schema import TIME, always_present
+
 ONLY_IF_MEASURED = "null unless measured"
 """Marks a field that is null unless the outcome is `measured`."""
-
-
-def always_present(schema: dict[str, Any]) -> None:
-    """Mark all fields of a model as required in its schema: they are in every answer, defaults included."""
-    schema["required"] = list(schema["properties"])
-    for property_ in schema["properties"].values():
-        property_.pop("default", None)
 
 
 ALWAYS = ("seq", "id", "revision", "kind", "outcome", "is_simulated", "is_replay")

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.files.times import utc_now
-from service.redaction import redacted
+from service.base.redaction import redacted
 
 CONFIGURATION = "configuration"
 """Action of the entries about the file of settings, whose URLs earlier versions kept to the end."""

@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.files.durable import replacing, sync
-from service.errors import StoreError
+from service.base.errors import StoreError
 from service.store import audit, history, schema
 from service.store.damage import ALL, find_damage
 from service.store.lock import lock_store

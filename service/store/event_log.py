@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from service.errors import StoreError
+from service.base.errors import StoreError
 from service.store.events import NewEvent, note_event
 from service.store.schema import transaction
 from service.store.store import POLL_S, Store

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from drivers.files.times import utc_now
-from service.errors import ServiceError, TooManyError
+from service.base.errors import ServiceError, TooManyError
 from service.store import audit
 from service.store.schema import transaction
 

@@ -4,7 +4,7 @@ import fcntl
 import os
 from pathlib import Path
 
-from service.errors import StoreError
+from service.base.errors import StoreError
 
 
 def lock_store(state_dir: Path) -> int:

@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from drivers.files.durable import sync, unfinished
-from service.errors import StoreError
+from service.base.errors import StoreError
 
 log = logging.getLogger(__name__)
 

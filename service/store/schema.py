@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
-from service.errors import StoreError
+from service.base.errors import StoreError
 from service.store import audit
 
 BUSY_S = 0.5

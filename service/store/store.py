@@ -18,7 +18,7 @@ from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from drivers.files.durable import sync
 from pipeline.frames import GateCount, Trigger
-from service.errors import StoreError
+from service.base.errors import StoreError
 from service.results.fields import LossReason
 from service.store import audit, backups, history, reads, writes
 from service.store.accounting import Accounting

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
-from service.errors import StoreError
+from service.base.errors import StoreError
 from service.store.history import note_damage
 from service.store.schema import connect
 from service.store.trouble import Cause, StoreTrouble, trouble_of

@@ -13,7 +13,7 @@ from typing import Any
 
 from drivers.files.times import is_of_unset_clock, utc_now
 from pipeline.frames import BundleKind, GateCount, Trigger, rfc3339
-from service.errors import StoreError
+from service.base.errors import StoreError
 from service.results.fields import LossReason, Outcome
 from service.results.record import lost_record
 from service.store.particle_files import (

@@ -25,7 +25,7 @@ from pipeline.synthesis.background import APERTURE_RADIUS_MM, build_wall, render
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.renderer import SimulatedRig
 from pipeline.synthesis.stones import stone
-from service.models.networks import load_model
+from service.processing.models.networks import load_model
 
 SEED = 41_000
 """Of no training, tuning or bench."""

@@ -47,7 +47,7 @@ from pipeline.synthesis.irregular_bodies import IRREGULAR_FORMS, irregular_body
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import STONE_FORMS, stone
 from pipeline.views.quality import Quality
-from service.models.networks import read_model
+from service.processing.models.networks import read_model
 from service.processing.segmenters import SegmenterPlan, build_segmenter
 
 Random = np.random.Generator

@@ -11,11 +11,11 @@ from support.remeasuring import AgainPool, remeasuring_of
 from support.rest import FakeControl, app_of, client_of
 from support.webhook_receiver import SECRET, Receiver
 
-from service.alarms.alarms import Alarms, open_alarms
 from service.api.settings import ApiSettings
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 from service.delivery.webhooks import Webhooks, open_webhooks
-from service.diagnostics.inputs import Inputs, Secrets
+from service.health.alarms.alarms import Alarms, open_alarms
+from service.host.diagnostics.inputs import Inputs, Secrets
 from service.host.needs import HostNeeds
 from service.recording.recordings import RecordingsSettings, open_recordings
 from service.store import Store

@@ -8,9 +8,9 @@ import httpx
 import pytest
 from support.rest import FakeControl, app_of, assert_problem, client_of
 
-from service.alarms.alarms import Alarms, open_alarms
 from service.api.settings import ApiKey, ApiSettings, Scope
-from service.status import CheckStatus, HealthCheck
+from service.base.status import CheckStatus, HealthCheck
+from service.health.alarms.alarms import Alarms, open_alarms
 from service.store import Store
 from service.store.event_log import EventLog
 

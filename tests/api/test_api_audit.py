@@ -17,12 +17,12 @@ from support.recordings import make_bundle
 from support.remeasuring import AgainPool, add_old
 from support.rest import FakeControl, app_of, client_of
 
-from service.alarms.alarms import Alarms
 from service.api.app import build_routes
 from service.api.routes.audit import PAGE
 from service.api.settings import ApiKey, ApiSettings, Scope
 from service.api.version import BASE
-from service.status import AcquisitionState, CheckStatus, HealthCheck
+from service.base.status import AcquisitionState, CheckStatus, HealthCheck
+from service.health.alarms.alarms import Alarms
 from service.store import Store
 from service.store.audit import COLUMNS, note_alone
 

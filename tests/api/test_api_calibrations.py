@@ -11,8 +11,8 @@ from support.rest import FakeControl, app_of, client_of
 
 from pipeline.rig.document import rig_from_document
 from service.api.settings import ApiKey, ApiSettings, Scope
+from service.base.status import AcquisitionState
 from service.calibration.verifications import VerificationState
-from service.status import AcquisitionState
 from service.store import Store
 
 BALL = {"ball_diameters_mm": [10.0], "by": "an engineer", "note": "after the new lens"}

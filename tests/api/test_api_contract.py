@@ -12,13 +12,13 @@ from support.outcomes import add, measured, rejected
 from support.rest import FakeControl, app_of, particle_files
 from support.served import served_by
 
-from service.alarms.alarms import Alarms
 from service.api import pace
 from service.api.openapi import openapi_text
 from service.api.version import BASE
+from service.base.status import CheckStatus, HealthCheck
+from service.health.alarms.alarms import Alarms
 from service.lots.lots import LotDefinition, close_lot, open_lot
 from service.lots.products import ProductDefinition, save_product
-from service.status import CheckStatus, HealthCheck
 from service.store import Store
 
 CHECKS = (

@@ -11,8 +11,8 @@ from support.rest import SICK_HEALTH, FakeControl
 
 from service.api.routes.health import HealthDocument
 from service.api.version import API_VERSION
+from service.base.status import TRANSITIONS, AcquisitionState, AcquisitionTarget, ConflictError, next_state
 from service.results.version import ALGORITHM_VERSION
-from service.status import TRANSITIONS, AcquisitionState, AcquisitionTarget, ConflictError, next_state
 from service.store import Store
 
 

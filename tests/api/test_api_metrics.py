@@ -12,8 +12,8 @@ from support.rest import FakeControl, app_of, client_of
 
 from service.api.metrics import DELAYS_S, Snapshot, metrics_text
 from service.api.settings import ApiSettings
+from service.base.redaction import redacted
 from service.configuration.settings import Settings, load_settings
-from service.redaction import redacted
 from service.results.fields import Verified
 from service.store import Store
 from service.store.outcome_counts import OutcomeCounts, outcome_counts

@@ -16,16 +16,16 @@ from support.sent_events import Stream, opened
 from support.served import Served, served_by
 
 from pipeline.frames import rfc3339
-from service.alarms.alarms import Alarms
 from service.api import open_streams, overviews
 from service.api.key_file import create_key, revoke_key
 from service.api.overview_rows import Rows, overview_rows
 from service.api.settings import Scope
-from service.errors import StoreError
+from service.base.errors import StoreError
+from service.base.status import AcquisitionState, CheckStatus, HealthCheck
+from service.health.alarms.alarms import Alarms
 from service.health.assessment import assess
 from service.lots.lots import LotDefinition, close_lot, open_lot
 from service.lots.products import ProductDefinition, save_product
-from service.status import AcquisitionState, CheckStatus, HealthCheck
 from service.store import Store
 from service.store.schema import read
 

@@ -15,7 +15,7 @@ from support.rest import FakeControl, app_of, assert_problem, client_of
 
 from service.api.problems import TITLES
 from service.api.settings import ApiKey, ApiSettings, Scope
-from service.status import Health
+from service.base.status import Health
 from service.store import Store
 
 ROOT = Path(__file__).parents[2]

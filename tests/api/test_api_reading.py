@@ -20,7 +20,7 @@ from service.api.pace import BURST, RATE_HZ, Pace
 from service.api.pages import feed_page
 from service.api.reader_process import BusyError, ReaderProcess
 from service.api.renditions import NotKeptError, preview_png
-from service.errors import StoreError
+from service.base.errors import StoreError
 from service.store import Store, read
 from service.store.reads import results_after
 

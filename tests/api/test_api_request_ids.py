@@ -6,7 +6,7 @@ import httpx
 import pytest
 from support.rest import FakeControl, app_of, assert_problem, client_of
 
-from service.status import Health
+from service.base.status import Health
 from service.store import Store
 
 

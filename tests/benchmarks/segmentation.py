@@ -48,7 +48,7 @@ from pipeline.segmentation.network import Network
 from pipeline.segmentation.network_segmenter import NetworkSegmenter
 from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
-from service.models.networks import load_model
+from service.processing.models.networks import load_model
 
 SEED = 40_000
 """Default seed of the first view; seeds of training and tuning are far from it."""

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from drivers.files.compact_mesh import STEP_MM, read_compact_mesh
 from drivers.files.mesh_parsing import parse_mesh
-from service.cli import build_app
+from service.commands.cli import build_app
 from service.results.fields import MEASURED_FIELDS
 
 COMPARED = (

@@ -10,7 +10,7 @@ from support.eventually import eventually
 from support.small_recording import write_small_recording
 from typer.testing import CliRunner, Result
 
-from service.cli import build_app
+from service.commands.cli import build_app
 
 N_STONES = 4
 

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from drivers.files.recording import open_recording
 from pipeline.frames import BundleKind
-from service.cli import build_app
+from service.commands.cli import build_app
 from service.results.fields import MEASURED_FIELDS
 
 COMPARED = (

@@ -8,7 +8,7 @@ from support.live_rig import LiveRig, eventually, live_rig
 from support.small_recording import write_small_recording
 from typer.testing import CliRunner
 
-from service.cli import build_app
+from service.commands.cli import build_app
 
 
 @pytest.fixture(scope="module")

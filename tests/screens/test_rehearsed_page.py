@@ -12,7 +12,7 @@ from support.browser import Watched, screenshot
 from support.daemon_process import PATIENCE_S, STONEFALL, free_port
 from support.eventually import eventually
 
-from service.rehearsal.rehearsed_daemon import is_free
+from service.commands.rehearsal.rehearsed_daemon import is_free
 
 PATIENCE_MS = 300_000
 

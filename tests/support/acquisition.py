@@ -9,8 +9,8 @@ from support.eventually import PATIENCE_S
 from drivers.factory import Devices
 from pipeline.frames import CameraId, FrameBundle, GateCount, Trigger
 from service.acquisition.acquisition import Acquisition
+from service.base.status import AcquisitionState, AcquisitionTarget
 from service.bundling.parameters import BundlingParameters
-from service.status import AcquisitionState, AcquisitionTarget
 
 CAMERAS = (CameraId("c01"), CameraId("c02"), CameraId("c03"))
 DELAY_NS = 259_400_000

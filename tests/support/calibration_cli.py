@@ -6,7 +6,7 @@ from typing import Any
 from support.daemon_process import DaemonProcess
 from typer.testing import CliRunner
 
-from service.cli import build_app
+from service.commands.cli import build_app
 
 
 def run(daemon: DaemonProcess, *words: str) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from drivers.files.durable import write_json
 from drivers.files.rig_file import write_rig
 from pipeline.calibration import Problem
 from pipeline.rig.cameras import RigCalibration
+from service.base.status import AcquisitionState
 from service.calibration.calibrations import Calibrations
 from service.calibration.drop_files import ObservedDrop, SeenCircle
 from service.calibration.drop_jobs import Solution, SolveJob
@@ -21,7 +22,6 @@ from service.calibration.startup import load_calibrations
 from service.calibration.states import CalibrationAction, CalibrationState
 from service.calibration.verification_limits import VerificationParameters
 from service.calibration.verifications import open_verifications
-from service.status import AcquisitionState
 
 CONFIGURED = small_rig()
 ARMED = AcquisitionState.ARMED

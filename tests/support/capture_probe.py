@@ -27,7 +27,7 @@ def note_bundles(path: Path) -> None:
 
 
 def main() -> None:
-    from service.cli import main as stonefall  # the workers import this module, too
+    from service.commands.cli import main as stonefall  # the workers import this module, too
 
     note_bundles(Path(sys.argv.pop(1)))
     stonefall()

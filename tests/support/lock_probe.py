@@ -74,7 +74,7 @@ def waits_ms(path: Path, since_s: float) -> Iterator[float]:
 
 
 def main() -> None:
-    from service.cli import main as stonefall  # the workers import this module, too
+    from service.commands.cli import main as stonefall  # the workers import this module, too
 
     threading.Thread(target=watch, args=(Path(sys.argv.pop(1)),), name="lock probe", daemon=True).start()
     stonefall()

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-from service.compiled_code import code_digests
+from service.processing.compiled_code import code_digests
 
 REPOSITORY = Path(__file__).parents[2]
 FOLDER = REPOSITORY / ".cache" / "rendered"

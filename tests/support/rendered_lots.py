@@ -32,7 +32,7 @@ from pipeline.synthesis.irregular_bodies import irregular_body
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import STONE_FORMS, stone
 from service.lots.stones import stone_of
-from service.models.networks import read_model
+from service.processing.models.networks import read_model
 from service.processing.segmenters import SegmenterPlan, build_segmenter
 from service.results.record import result_record
 

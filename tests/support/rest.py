@@ -22,21 +22,12 @@ from drivers.files.silhouette_file import write_silhouettes
 from drivers.interfaces import CameraVitals
 from pipeline.frames import CameraId, Frame, FrameBundle, Image
 from pipeline.views.quality import ViewsParameters
-from service.alarms.alarms import Alarms
 from service.api import app
 from service.api.key_ring import KeyRing
 from service.api.metrics import result_delays
 from service.api.reader_process import Reading
 from service.api.settings import ApiSettings
-from service.calibration.calibrations import Calibrations
-from service.delivery.webhooks import Webhooks
-from service.diagnostics.inputs import Inputs
-from service.health.facts import Facts
-from service.health.refinement_watch import RefinementTrend
-from service.lots.shifts import LotsSettings
-from service.recording.recordings import Recordings
-from service.remeasuring.remeasuring import Remeasuring
-from service.status import (
+from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,
     AcquisitionTarget,
@@ -49,6 +40,15 @@ from service.status import (
     NotDisarmedError,
     next_state,
 )
+from service.calibration.calibrations import Calibrations
+from service.delivery.webhooks import Webhooks
+from service.health.alarms.alarms import Alarms
+from service.health.facts import Facts
+from service.health.refinement_watch import RefinementTrend
+from service.host.diagnostics.inputs import Inputs
+from service.lots.shifts import LotsSettings
+from service.recording.recordings import Recordings
+from service.remeasuring.remeasuring import Remeasuring
 from service.store import Store
 
 T = TypeVar("T")

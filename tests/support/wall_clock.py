@@ -7,12 +7,12 @@ FILE has by how many seconds it is ahead of the host's; monotonic clocks go on.
 import sys
 from pathlib import Path
 
-from service.rehearsal.wall_clock import follow_file, set_ahead
+from service.commands.rehearsal.wall_clock import follow_file, set_ahead
 
 __all__ = ["set_ahead"]
 
 if __name__ == "__main__":
     follow_file(Path(sys.argv.pop(1)))
-    from service.cli import main
+    from service.commands.cli import main
 
     main()

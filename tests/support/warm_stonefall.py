@@ -207,19 +207,19 @@ def _forked(spawn: Callable[..., int], path: bytes, arguments: Sequence[str], ke
 
 if __name__ == "__main__":
     sys.path[0] = str(Path(__file__).parents[2])
-    from service.compiled_code import isolate_numba_cache
+    from service.processing.compiled_code import isolate_numba_cache
 
     isolate_numba_cache()
     import service.api.app
     import service.api.reader_process
-    import service.cli
+    import service.commands.cli
     import service.daemon.run
     import service.processing.measure_job
     import service.processing.worker_imports
     import service.store  # so that nothing is left to import after the fork
     from service.processing.process_memory import freeze_gc
 
-    for command in service.cli.COMMANDS.values():
+    for command in service.commands.cli.COMMANDS.values():
         __import__(command)
     routes = service.api.app.build_routes()
     routes.openapi()  # what FastAPI makes at first use
@@ -229,4 +229,4 @@ if __name__ == "__main__":
     asyncio.Handle._run = _told(asyncio.Handle._run)  # type: ignore[attr-defined,method-assign]  # not in its stubs
     freeze_gc()
     if _serve():
-        sys.exit(service.cli.main())
+        sys.exit(service.commands.cli.main())

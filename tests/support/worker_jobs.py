@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from service.errors import WorkerFailure
+from service.base.errors import WorkerFailure
 from service.processing.worker_process import WarmUp, worker_boundary
 
 TRACEBACK = """Traceback (most recent call last):

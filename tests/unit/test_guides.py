@@ -7,7 +7,7 @@ import pytest
 import typer
 from benchmarks.figures import in_guide, read_figures, tables, used_figures
 
-from service.cli import COMMANDS, build_app
+from service.commands.cli import COMMANDS, build_app
 from service.results.version import SAME_BY_DEFAULT
 
 ROOT = Path(__file__).parents[2]

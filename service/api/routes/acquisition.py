@@ -7,7 +7,7 @@ from service.api.auth import Who, require
 from service.api.context import Context
 from service.api.problems import problem_responses
 from service.api.settings import Scope
-from service.status import AcquisitionStatus, AcquisitionTarget
+from service.base.status import AcquisitionStatus, AcquisitionTarget
 
 router = APIRouter(prefix="/acquisition", tags=["acquisition"])
 

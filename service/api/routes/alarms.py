@@ -6,17 +6,17 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Path, Query
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.alarms.alarm import Alarm, AlarmState
-from service.alarms.machine import MAX_SHELVED_S
-from service.alarms.rules import Priority, Rule, Rules
-from service.alarms.table import history
 from service.api.auth import Who, require
 from service.api.context import Context
 from service.api.feeds import MAX_SEQ
 from service.api.problems import existing, problem_responses
 from service.api.settings import Scope
-from service.language import Language
-from service.results.fields import TIME
+from service.base.language import Language
+from service.base.schema import TIME
+from service.health.alarms.alarm import Alarm, AlarmState
+from service.health.alarms.machine import MAX_SHELVED_S
+from service.health.alarms.rules import Priority, Rule, Rules
+from service.health.alarms.table import history
 
 router = APIRouter(prefix="/alarms", tags=["alarms"])
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field
 from service.api.context import ApiContext, Context
 from service.api.feeds import MAX_SEQ
 from service.api.problems import problem_responses
-from service.results.fields import TIME
+from service.base.schema import TIME
 from service.store import read
 from service.store.audit import csv_page, entries
 

@@ -4,10 +4,10 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from service.base.schema import TIME
 from service.calibration.files import Origin
 from service.calibration.plan import BALL_DIAMETERS_MM, Method
 from service.calibration.states import CalibrationState
-from service.results.fields import TIME
 
 # strict: `true` is no number; a whole number is one of millimetres all the same
 DiameterMm = Annotated[float, Field(ge=BALL_DIAMETERS_MM[0], le=BALL_DIAMETERS_MM[1], strict=True)]

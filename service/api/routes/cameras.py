@@ -12,7 +12,7 @@ from service.api.context import ApiContext, Context
 from service.api.problems import Problem, problem_responses
 from service.api.renditions import SHEET_COLUMNS, SHEET_TILE_PX, contact_sheet_jpg, snapshot_png, subsampled
 from service.api.settings import Scope
-from service.status import CameraStatus
+from service.base.status import CameraStatus
 
 router = APIRouter(prefix="/cameras", tags=["cameras"])
 acting = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=[Depends(require(Scope.OPERATE))])

@@ -9,8 +9,8 @@ from service.api.auth import require
 from service.api.context import Context
 from service.api.problems import problem_responses
 from service.api.settings import Scope
-from service.redaction import redacted
-from service.status import ConfigurationState
+from service.base.redaction import redacted
+from service.base.status import ConfigurationState
 
 router = APIRouter(prefix="/config", tags=["configuration"])
 

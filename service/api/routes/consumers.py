@@ -13,8 +13,8 @@ from service.api.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unch
 from service.api.feeds import MAX_SEQ
 from service.api.problems import Problem, existing, problem_responses
 from service.api.settings import Scope
-from service.ids import ID
-from service.results.fields import TIME
+from service.base.ids import ID
+from service.base.schema import TIME
 from service.store.holds import Consumer, CursorError, consumers, forget, park
 
 router = APIRouter(prefix="/consumers", tags=["results"])

@@ -14,8 +14,8 @@ from service.api.routes.lots import LotName
 from service.api.routes.windows import Minutes, ProductId, last_minutes
 from service.api.settings import Scope
 from service.api.shared_documents import SVG, shared, svg_answer
-from service.ids import ID
-from service.language import Language
+from service.base.ids import ID
+from service.base.language import Language
 from service.lots.lots import find_lot
 from service.reports.names import minutes_name
 

@@ -11,7 +11,7 @@ from service.api.context import ApiContext, Context
 from service.api.problems import problem_responses
 from service.api.routes.metrics import metrics_of
 from service.api.settings import Scope
-from service.diagnostics.archive import build_archive
+from service.host.diagnostics.archive import build_archive
 
 router = APIRouter(prefix="/diagnostics", tags=["configuration"])
 

@@ -15,11 +15,11 @@ from service.api.routes.windows import next_second
 from service.api.settings import Scope
 from service.api.shared_documents import shared
 from service.api.trend_answers import changes_json
-from service.language import Language
-from service.results.fields import TIME
-from service.trends.changes import Changes
-from service.trends.diary import DiaryEntry, DiaryKind, FutureEntryError, NewEntry, entries, note_entry
-from service.trends.trend import DiaryDocument
+from service.base.language import Language
+from service.base.schema import TIME
+from service.lots.trends.changes import Changes
+from service.lots.trends.diary import DiaryEntry, DiaryKind, FutureEntryError, NewEntry, entries, note_entry
+from service.lots.trends.trend import DiaryDocument
 
 router = APIRouter(tags=["diary"])
 

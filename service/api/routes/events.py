@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 from service.api.context import Context
 from service.api.feeds import EVENTS, MAX_SEQ, CursorPage, cursor_problem, page_after
 from service.api.problems import problem_responses
-from service.results.fields import TIME
+from service.base.schema import TIME
 from service.store.events import EventType
 
 router = APIRouter(prefix="/events", tags=["events"])

@@ -11,8 +11,8 @@ from service.api.context import Context
 from service.api.problems import Problem, problem_responses
 from service.api.settings import Scope
 from service.api.version import API_VERSION
+from service.base.status import CheckStatus, HealthCheck, Ne107
 from service.results.version import ALGORITHM_VERSION
-from service.status import CheckStatus, HealthCheck, Ne107
 
 router = APIRouter(prefix="/health", tags=["health"])
 

@@ -15,6 +15,7 @@ from service.api.routes.lot_figures import Measuring
 from service.api.routes.lots import LotName
 from service.api.routes.products import ProductName, Text
 from service.api.settings import Scope
+from service.base.schema import TIME
 from service.lots.laboratory import (
     MOST_SIEVES,
     Correlation,
@@ -30,7 +31,6 @@ from service.lots.laboratory import (
 from service.lots.lots import find_lot
 from service.lots.products import find_product
 from service.lots.samples import Conditions, RunsTooFewError, sample_study
-from service.results.fields import TIME
 from service.store import read
 
 router = APIRouter(tags=["laboratory"])

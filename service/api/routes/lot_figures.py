@@ -17,14 +17,14 @@ from service.api.report_requests import report_request
 from service.api.routes.lots import LotName
 from service.api.routes.particle_files import best_match
 from service.api.settings import Scope
-from service.language import Language
+from service.base.language import Language
+from service.base.schema import TIME
 from service.lots.figures import LotFigures
 from service.lots.lots import find_lot
 from service.lots.products import find_product
 from service.lots.stored_stones import Choice, stones_behind, versions_of_lot
 from service.lots.yardsticks import Request, yardstick_of
 from service.reports.report import ReportFormat
-from service.results.fields import TIME
 from service.store import read
 
 router = APIRouter(prefix="/lots", tags=["lots"], dependencies=[Depends(require(Scope.READ))])

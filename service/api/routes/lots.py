@@ -19,7 +19,8 @@ from service.api.routes.products import Text
 from service.api.routes.results import Time
 from service.api.settings import Scope
 from service.api.version import BASE
-from service.ids import ID, NEW_ID
+from service.base.ids import ID, NEW_ID
+from service.base.schema import TIME
 from service.lots.evaluation import lot_document
 from service.lots.figures import LotDocument
 from service.lots.lots import (
@@ -34,7 +35,6 @@ from service.lots.lots import (
     open_lot,
     void_lot,
 )
-from service.results.fields import TIME
 
 router = APIRouter(prefix="/lots", tags=["lots"])
 

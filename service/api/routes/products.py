@@ -14,7 +14,8 @@ from service.api.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unch
 from service.api.feeds import MAX_SEQ
 from service.api.problems import existing, problem_responses
 from service.api.settings import Scope
-from service.ids import ID, NEW_ID
+from service.base.ids import ID, NEW_ID
+from service.base.schema import TIME
 from service.lots.products import (
     Product,
     definition_of,
@@ -28,7 +29,6 @@ from service.lots.yardsticks import (
     yardstick_of,
 )
 from service.lots.yardsticks import standards as known_standards
-from service.results.fields import TIME
 
 router = APIRouter(prefix="/products", tags=["lots"])
 

@@ -13,9 +13,9 @@ from service.api.problems import Problem, existing, problem_responses
 from service.api.recording_tar import members_of, tar_bytes, tar_pieces
 from service.api.settings import Scope
 from service.api.version import BASE
+from service.base.schema import TIME
 from service.recording.live_recording import RecordingState, RecordingStatus
 from service.recording.recordings import RecordingPlan, RecordingRefusedError, Refusal
-from service.results.fields import TIME
 
 router = APIRouter(prefix="/recordings", tags=["recordings"])
 

@@ -12,7 +12,8 @@ from service.api.feeds import MAX_SEQ, RESULTS, CursorPage, choosing, cursor_pro
 from service.api.gzipped import TakesGzip
 from service.api.pages import Names
 from service.api.problems import Problem, problem_responses
-from service.results.fields import TIME, Result
+from service.base.schema import TIME
+from service.results.fields import Result
 from service.results.selection import UnknownFieldsError, chosen_fields
 from service.store.reads import seq_before
 

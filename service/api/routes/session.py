@@ -23,7 +23,7 @@ from service.api.session_cookies import (
 )
 from service.api.sessions import Key, Session
 from service.api.settings import Scope
-from service.results.fields import TIME
+from service.base.schema import TIME
 
 router = APIRouter(prefix="/session", tags=["session"])
 

@@ -13,12 +13,12 @@ from service.api.routes.lot_figures import Measuring
 from service.api.routes.windows import next_second
 from service.api.shared_documents import SVG, shared, svg_answer
 from service.api.trend_answers import comparison_json, trend_drawing, trend_json
-from service.ids import ID
-from service.language import Language
+from service.base.ids import ID
+from service.base.language import Language
 from service.lots.comparing import LotComparison, Side
 from service.lots.lots import find_lot
+from service.lots.trends.trend import Trend
 from service.reports.trend import TrendFigure
-from service.trends.trend import Trend
 
 router = APIRouter(tags=["trends"])
 

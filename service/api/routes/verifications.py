@@ -13,8 +13,8 @@ from service.api.problems import existing, problem_responses
 from service.api.routes.calibration_schemas import DiameterMm
 from service.api.settings import Scope
 from service.api.version import BASE
+from service.base.schema import TIME
 from service.calibration.verifications import Verification, VerificationPlan, VerificationState
-from service.results.fields import TIME
 
 router = APIRouter(prefix="/verifications", tags=["verifications"])
 

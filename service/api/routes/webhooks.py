@@ -11,11 +11,11 @@ from service.api.context import Context
 from service.api.feeds import MAX_SEQ
 from service.api.problems import Problem, existing, problem_responses
 from service.api.settings import Scope
+from service.base.ids import ID
+from service.base.redaction import shown
+from service.base.schema import TIME
 from service.delivery.table import EventCursorError, deliveries
 from service.delivery.webhooks import BeingTestedError, EndpointStatus
-from service.ids import ID
-from service.redaction import shown
-from service.results.fields import TIME
 from service.store.events import EventType
 
 router = APIRouter(prefix="/webhooks", tags=["webhooks"], dependencies=[Depends(require(Scope.CONFIGURE))])

@@ -10,7 +10,7 @@ from service.api.context import ApiContext, Context
 from service.api.pages import window_figures_json
 from service.api.problems import existing, problem_responses
 from service.api.routes.lot_figures import Measuring
-from service.ids import ID
+from service.base.ids import ID
 from service.lots.figures import LotFigures
 from service.lots.shifts import shift_at
 from service.lots.yardsticks import Request

@@ -164,7 +164,7 @@ TREE = {
     "pipeline/hull.py": "",
     "service/store/__init__.py": "from service.store import rows",
     "service/store/rows.py": "import pipeline.hull",
-    "service/cli.py": 'COMMANDS = {"serve": "service.serve"}',
+    "service/commands/cli.py": 'COMMANDS = {"serve": "service.serve"}',
     "service/serve.py": "",
     "tests/support/daemon.py": 'Path(sys.executable).with_name("stonefall")',
     "tests/support/stores.py": "import pytest\n@pytest.fixture\ndef store(): from service.store import rows",

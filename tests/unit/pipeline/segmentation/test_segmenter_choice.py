@@ -25,7 +25,7 @@ from pipeline.synthesis.bodies import sphere
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.disturbance import cast_shadow, dust
 from pipeline.views.quality import Quality
-from service.models.networks import read_model
+from service.processing.models.networks import read_model
 
 CAMERA = CameraId("c01")
 HEIGHT, WIDTH = 320, 400

@@ -16,8 +16,8 @@ from drivers.interfaces import CameraLost, LightGate
 from pipeline.frames import Frame, FrameBundle, Trigger
 from service.acquisition import device_keeper
 from service.acquisition.rig_cameras import RigCameras
+from service.base.status import AcquisitionState, AcquisitionTarget, ConflictError
 from service.bundling.counters import BundlingCounters, CameraCounters
-from service.status import AcquisitionState, AcquisitionTarget, ConflictError
 
 N_BUNDLES = 6
 

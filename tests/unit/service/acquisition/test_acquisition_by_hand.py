@@ -7,7 +7,7 @@ from support.acquisition import CAMERAS, DELAY_NS, UTC, AcquisitionBench, armed
 from drivers.factory import Devices
 from drivers.interfaces import CameraLost, CameraVitals, EventSink, TriggersLost
 from pipeline.frames import BundleKind, CameraId, Frame, GateCount, Trigger
-from service.status import AcquisitionState, AcquisitionTarget
+from service.base.status import AcquisitionState, AcquisitionTarget
 
 
 class HandCamera:

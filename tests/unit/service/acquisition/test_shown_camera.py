@@ -15,7 +15,7 @@ from drivers.factory import ReplayBackend, build_devices
 from drivers.interfaces import CameraVitals, EventSink
 from pipeline.frames import CameraId
 from service.acquisition import shown_camera
-from service.status import AcquisitionState, AcquisitionTarget, NotDisarmedError
+from service.base.status import AcquisitionState, AcquisitionTarget, NotDisarmedError
 
 LONG_S = 60.0
 

@@ -23,6 +23,8 @@ from support.calibration_desk import (
 from drivers.files.rig_file import read_rig, write_rig
 from pipeline.calibration import Problem
 from pipeline.frames import BundleKind
+from service.base.errors import StoreError
+from service.base.status import AcquisitionState
 from service.calibration import calibrations
 from service.calibration.files import CalibrationFiles, CalibrationRecord
 from service.calibration.plan import CalibrationPlan, Method
@@ -35,9 +37,7 @@ from service.calibration.states import (
     next_state,
 )
 from service.calibration.verifications import VerificationPlan
-from service.errors import StoreError
 from service.processing.worker_pool import JobLostError
-from service.status import AcquisitionState
 
 
 def test_every_open_calibration_can_be_cancelled_and_requests_can_be_repeated():

@@ -15,9 +15,9 @@ from pipeline.errors import CalibrationError
 from pipeline.evaluation.scene import rig_error
 from pipeline.rig.cameras import rig_to_document
 from pipeline.rig.design import nominal_rig
-from service.cli import build_app
+from service.base.errors import UsageError
 from service.commands import synthesize
-from service.errors import UsageError
+from service.commands.cli import build_app
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from service.cli import build_app
 from service.commands import calibration
+from service.commands.cli import build_app
 
 COVERAGE = {
     "missing": "3 more drops",

@@ -8,9 +8,9 @@ import pytest
 from support.outcomes import measured
 from typer.testing import CliRunner, Result
 
-from service.cli import build_app
+from service.base.errors import ServiceError, UsageError
 from service.commands import daemon_client, revised_stones
-from service.errors import ServiceError, UsageError
+from service.commands.cli import build_app
 from service.results.version import CHANGES
 
 N_STONES = 4

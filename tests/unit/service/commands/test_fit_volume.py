@@ -8,9 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
-from service.cli import build_app
+from service.base.errors import VolumeModelError
+from service.commands.cli import build_app
 from service.configuration.volume_models import MeasuringSettings, read_volume_model, write_volume_model
-from service.errors import VolumeModelError
 
 APP = build_app(["fit-volume"])
 DENSITY_G_CM3 = 2.7

@@ -13,8 +13,8 @@ from drivers.files.png_file import write_png
 from drivers.files.recording import open_recording, playback_order, read_bundle
 from drivers.files.rig_file import write_rig
 from pipeline.frames import BundleKind
+from service.base.errors import UsageError
 from service.commands import export_images, import_images
-from service.errors import UsageError
 
 
 @pytest.fixture

@@ -8,8 +8,8 @@ from typer.testing import CliRunner
 
 from drivers.files.rig_file import read_rig, write_rig
 from pipeline.rig.design import nominal_rig
-from service.cli import build_app
 from service.commands import init
+from service.commands.cli import build_app
 from service.configuration.rig_settings import AravisRigSettings
 from service.configuration.settings import load_settings, problems
 

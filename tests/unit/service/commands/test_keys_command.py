@@ -15,7 +15,7 @@ from typer.testing import CliRunner, Result
 from drivers.files.durable import unfinished
 from service.api.key_file import KEYS, LOCK, PREFIX, KeyFileError, create_key, read_keys, sha256_of
 from service.api.settings import Scope
-from service.cli import build_app
+from service.commands.cli import build_app
 
 CONFIG = f"""
 {REPLAY}[[api.keys]]

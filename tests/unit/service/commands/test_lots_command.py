@@ -7,8 +7,8 @@ from support.lot_figures import decision, lot_figures
 from typer.testing import CliRunner
 
 from pipeline.gradation.specification import Verdict
-from service.cli import build_app
 from service.commands import lots
+from service.commands.cli import build_app
 from service.commands.lots import why_open
 
 

@@ -24,10 +24,10 @@ from pipeline.rig.design import nominal_rig
 from pipeline.synthesis.bodies import Body, sphere
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream, without_views
 from pipeline.synthesis.renderer import PlacedBody, simulate_rig
-from service.cli import build_app
+from service.base.errors import UsageError
 from service.commands import measure
+from service.commands.cli import build_app
 from service.commands.measure import _print_summary
-from service.errors import UsageError
 
 APP = build_app()
 

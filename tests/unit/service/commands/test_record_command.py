@@ -20,8 +20,8 @@ from drivers.factory import Devices, ReplayBackend, build_devices
 from drivers.files.recording import open_recording, playback_order, read_bundle
 from drivers.replay.camera import ReplayCamera
 from pipeline.frames import BundleKind, FrameBundle
+from service.base.errors import ServiceError
 from service.commands import record
-from service.errors import ServiceError
 from service.store.lock import lock_store
 
 BUNDLES = [

@@ -9,8 +9,8 @@ import pytest
 from support.daemon_process import DaemonProcess
 from typer.testing import CliRunner, Result
 
-from service.cli import build_app
 from service.commands import daemon_client, remeasure
+from service.commands.cli import build_app
 from service.commands.daemon_client import DaemonError
 
 FAILURES = {"b": "not-kept", "c": "calibration-gone", "d": "not-measured"}

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
-from service.cli import build_app
-from service.errors import ServiceError, UsageError
+from service.base.errors import ServiceError, UsageError
+from service.commands.cli import build_app
 from service.results.fields import EMPTY
 from service.results.refinement import RUSH
 

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
+from service.base.errors import SettingsError
 from service.commands.serve import LEAST_FILES, allow_files
-from service.errors import SettingsError
 from service.host.machine import FILES
 
 

@@ -19,9 +19,9 @@ from support.recordings import CAMERAS, make_bundle, write_recording
 
 from drivers import gvcp
 from pipeline.frames import BundleKind
+from service.base.errors import UsageError
 from service.commands import synthesize
 from service.commands.simulate import command
-from service.errors import UsageError
 
 FIRST_ADDRESS = f"127.34.{os.getpid() % 256}.2"
 

@@ -14,8 +14,8 @@ from drivers.files.recording import open_recording, read_bundle
 from drivers.files.rig_file import read_rig, write_rig
 from pipeline.fall import speed_mm_s
 from pipeline.frames import BundleKind, CameraId, FrameBundle
+from service.base.errors import UsageError
 from service.commands.synthesize import command
-from service.errors import UsageError
 
 
 @pytest.fixture

@@ -23,12 +23,12 @@ from pipeline.particle import PipelineParameters
 from pipeline.rig.design import nominal_rig
 from service.api.key_file import KEYS, create_key, revoke_key
 from service.api.settings import ApiKey, Scope
-from service.cli import build_app
+from service.base.errors import SettingsError, VolumeModelError
+from service.commands.cli import build_app
 from service.configuration.rig_settings import AravisRigSettings, CameraPlace
 from service.configuration.settings import Settings, load_settings, problems, shortcomings, warnings
 from service.configuration.volume_models import read_volume_model, write_volume_model
 from service.delivery.settings import FileDropSettings, WebhookEndpoint
-from service.errors import SettingsError, VolumeModelError
 
 DEPLOY = Path(__file__).parents[4] / "deploy"
 

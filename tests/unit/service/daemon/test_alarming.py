@@ -4,9 +4,9 @@ from dataclasses import replace
 
 from support.rest import GOOD_HEALTH, SICK_HEALTH
 
-from service.alarms.alarms import open_alarms
+from service.base.status import CheckStatus, HealthCheck
 from service.daemon.alarming import LASTING_S, Alarming
-from service.status import CheckStatus, HealthCheck
+from service.health.alarms.alarms import open_alarms
 from service.store import Store
 from service.store.event_log import EventLog
 from service.store.events import events_after

@@ -7,9 +7,9 @@ import pytest
 from support.configurations import KEY, REPLAY
 from support.recordings import make_bundle, write_recording
 
+from service.base.errors import StoreError
 from service.configuration.settings import Settings, load_settings
 from service.daemon.reloading import Configuration, differences, with_live
-from service.errors import StoreError
 from service.store import Store
 from service.store.audit import csv_page, entries
 

@@ -9,11 +9,11 @@ from typing import Any, cast
 
 import pytest
 
+from service.base.errors import StoreError
 from service.configuration.settings import Settings
 from service.daemon import run
 from service.daemon.stopping import StopRequests
 from service.daemon.systemd import ServiceManager
-from service.errors import StoreError
 from service.store import Store
 
 SETTINGS = cast(Settings, SimpleNamespace(store=SimpleNamespace(dir=Path("state"), keep_raw=1)))

@@ -7,9 +7,9 @@ import pytest
 from support.configurations import REPLAY
 from support.webhook_receiver import CERTIFICATE, OTHER_SECRET, SECRET
 
+from service.base.errors import SettingsError
 from service.configuration.settings import Settings, load_settings, shortcomings
 from service.delivery.settings import DropFormat, delivery_shortcomings
-from service.errors import SettingsError
 from service.store.events import EventType
 
 ENDPOINT = f"""

@@ -13,11 +13,11 @@ import pytest
 from support.eventually import PATIENCE_S, soon
 from support.outcomes import add, measured, trigger
 
-from service.alarms.rules import load_rules
 from service.api.lot_reports import FilesFailedError, ReportRequest, lot_files
+from service.base.language import Language
 from service.delivery.file_drop import ANSWER_S, FileDrop, LotFiles, due_lots, open_file_drop
 from service.delivery.settings import DropFormat, FileDropSettings
-from service.language import Language
+from service.health.alarms.rules import load_rules
 from service.lots.lots import LotDefinition, assign, close_lot, open_lot, void_lot
 from service.lots.products import ProductDefinition, save_product
 from service.lots.yardsticks import Request

@@ -5,13 +5,7 @@ import pytest
 from drivers.interfaces import CameraProcessStatus, ProcessState
 from pipeline.frames import CameraId
 from pipeline.views.quality import ViewsParameters
-from service.health.assessment import assess
-from service.health.facts import Facts
-from service.health.optical_watch import OpticalFinding, Severity
-from service.health.refinement_watch import RefinementTrend
-from service.health.rig_watch import Suspicion
-from service.health.store_checks import LOW_DISK_BYTES
-from service.status import (
+from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,
     CalibrationFacts,
@@ -19,6 +13,12 @@ from service.status import (
     CheckStatus,
     Ne107,
 )
+from service.health.assessment import assess
+from service.health.facts import Facts
+from service.health.optical_watch import OpticalFinding, Severity
+from service.health.refinement_watch import RefinementTrend
+from service.health.rig_watch import Suspicion
+from service.health.store_checks import LOW_DISK_BYTES
 from service.store.disk_use import RetentionFacts, StoreUse
 
 

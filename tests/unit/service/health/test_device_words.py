@@ -3,10 +3,10 @@
 import pytest
 
 from pipeline.frames import CameraId
+from service.base.status import AcquisitionState, AcquisitionStatus, CalibrationFacts, CameraStatus, Ne107
 from service.health.device_words import camera_ne107, gate_ne107, rig_ne107
 from service.health.optical_watch import OpticalFinding, Severity
 from service.health.rig_watch import Suspicion
-from service.status import AcquisitionState, AcquisitionStatus, CalibrationFacts, CameraStatus, Ne107
 
 C01 = CameraId("c01")
 MOVED = Suspicion(camera=C01, score_px=0.8, is_dropped=False, detail="moved")

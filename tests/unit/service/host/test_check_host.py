@@ -10,7 +10,7 @@ from support.configurations import REPLAY
 from support.recordings import make_bundle, write_recording
 from typer.testing import CliRunner
 
-from service.cli import build_app
+from service.commands.cli import build_app
 from service.host.check import check_host
 from service.host.finding import Finding, Verdict
 from service.host.host import Host, Ring, host_at

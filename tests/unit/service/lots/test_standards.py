@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.gradation.indices import EN_933_3
 from pipeline.gradation.specification import Limits, specification_of
-from service.errors import StandardsError
+from service.base.errors import StandardsError
 from service.lots.standards import FOLDER, SIEVES, SPECIFICATIONS, read_standards
 
 

@@ -11,9 +11,9 @@ from support.networks import darkness_network, difference_network
 from pipeline.frames import CameraId, Frame
 from pipeline.segmentation import ViewStatus, segmenter_choice
 from pipeline.segmentation.subtraction import SegmentationParameters
+from service.base.errors import SettingsError
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.settings import Settings, load_settings, shortcomings
-from service.errors import SettingsError
 from service.processing.segmenters import CLASSICAL, SegmenterPlan, build_segmenter, warm_up
 
 Load = Callable[[str], Settings]

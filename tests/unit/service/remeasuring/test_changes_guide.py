@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from service.cli import build_app
+from service.commands.cli import build_app
 from service.results.version import ALGORITHM_VERSION, CHANGES
 
 ROOT = Path(__file__).parents[4]

@@ -10,7 +10,7 @@ from support.extents import examples
 from support.lot_figures import NOT_MEASURED, curve, decision, measured, step
 
 from pipeline.gradation.specification import Verdict
-from service.language import Language
+from service.base.language import Language
 from service.lots.figures import CurveStep
 from service.reports.curve import BOTTOM, LEFT, RIGHT, TOP, gradation_curve, shown_steps, unmeasured_ranges
 from service.reports.drawing import Dot, Line, Style

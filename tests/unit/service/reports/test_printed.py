@@ -22,7 +22,7 @@ from support.lot_figures import (
 )
 
 from pipeline.gradation.specification import Verdict
-from service.language import Language
+from service.base.language import Language
 from service.lots.figures import Unmeasured
 from service.lots.lots import LotState
 from service.reports.content import document_of

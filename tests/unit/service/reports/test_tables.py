@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 from support.lot_figures import lot_document, report_data, stones
 
-from service.language import Language
+from service.base.language import Language
 from service.reports.csv_file import cell, render_csv
 from service.reports.report import ReportData, StoneTable, stone_table
 from service.reports.workbook import render_xlsx

@@ -14,15 +14,15 @@ from pipeline.gradation.estimates import State
 from pipeline.gradation.specification import Verdict
 from pipeline.particle import BodyKind
 from pipeline.views.quality import Quality
-from service.language import Language
+from service.base.language import Language
 from service.lots.lots import LotState
+from service.lots.trends.changes import ChangedFigure
+from service.lots.trends.diary import DiaryKind
 from service.reports.report import GalleryReason, VerificationOutcome
 from service.reports.trend import TrendFigure
 from service.reports.words import words
 from service.results.fields import LossReason, Outcome
 from service.results.refinement import NotRefined
-from service.trends.changes import ChangedFigure
-from service.trends.diary import DiaryKind
 
 SOURCES = Path(__file__).parents[4] / "service" / "reports"
 FAMILIES = {

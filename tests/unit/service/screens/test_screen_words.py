@@ -10,14 +10,14 @@ from pipeline.errors import ProblemCode, RejectReason
 from pipeline.gradation.specification import Verdict
 from pipeline.segmentation.silhouette import ViewStatus
 from service import screens
-from service.alarms.alarm import ANNOUNCED
-from service.alarms.rules import Priority
+from service.base.language import Language
+from service.base.status import AcquisitionState, DeviceState, Ne107
 from service.calibration.states import CalibrationState
 from service.calibration.verifications import VerificationState
-from service.language import Language
+from service.health.alarms.alarm import ANNOUNCED
+from service.health.alarms.rules import Priority
 from service.recording.live_recording import EndedBy, RecordingState
 from service.results.fields import LossReason, Outcome, Verified
-from service.status import AcquisitionState, DeviceState, Ne107
 
 FOLDER = Path(screens.__file__).parent
 SOURCES = [path for kind in ("scripts/**/*.js", "pages/*.html") for path in sorted(FOLDER.glob(kind))]

@@ -10,8 +10,8 @@ import pytest
 from support.configurations import REPLAY
 from typer.testing import CliRunner
 
-from service.cli import build_app
-from service.errors import StoreError
+from service.base.errors import StoreError
+from service.commands.cli import build_app
 from service.store import Store, audit, open_store
 from service.store.audit import check_chain, note_alone
 from service.store.events import events_after

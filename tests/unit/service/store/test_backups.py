@@ -22,9 +22,9 @@ from support.rest import particle_files
 from support.stores import folder_of
 from typer.testing import CliRunner
 
-from service.cli import build_app
+from service.base.errors import StoreError
+from service.commands.cli import build_app
 from service.daemon.backing_up import BackingUp
-from service.errors import StoreError
 from service.store import Store, backups, history, open_store
 from service.store.backups import back_up, restore
 from service.store.history import backups_in

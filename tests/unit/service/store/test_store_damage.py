@@ -17,8 +17,8 @@ from support.eventually import PATIENCE_S
 from support.extents import examples, first_quick
 from support.outcomes import add, measured, rejected, trigger
 
-from service.alarms.alarms import open_alarms
-from service.errors import StoreError
+from service.base.errors import StoreError
+from service.health.alarms.alarms import open_alarms
 from service.results.fields import LossReason
 from service.store import history, open_store
 from service.store.audit import note_alone

@@ -16,9 +16,9 @@ from support.outcomes import add, measured
 from support.rest import particle_files
 from typer.testing import CliRunner
 
-from service.cli import build_app
+from service.base.errors import StoreError
+from service.commands.cli import build_app
 from service.daemon.retaining import LowThread, Retaining
-from service.errors import StoreError
 from service.store import Store, open_store
 from service.store.audit import check_chain, entries, kept_digests, next_digest, note_alone
 from service.store.backups import restore

@@ -13,7 +13,7 @@ from support.outcomes import add, measured, trigger
 from support.rest import particle_files
 
 from pipeline.frames import BundleKind, Trigger
-from service.errors import StoreError
+from service.base.errors import StoreError
 from service.results.record import lost_record
 from service.store import Store, open_store, writer
 from service.store.trouble import Cause

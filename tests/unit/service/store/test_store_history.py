@@ -13,7 +13,7 @@ from support.outcomes import add, measured, rejected
 from support.rest import particle_files
 from support.store_process import run_until_killed
 
-from service.errors import StoreError
+from service.base.errors import StoreError
 from service.store import Store, open_store
 
 

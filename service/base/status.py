@@ -1,0 +1,327 @@
+"""What the daemon reports about itself: states, checks, health, cameras and calibration.
+
+The REST interface returns these models themselves: a field that is added here is documented, checked and served.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipeline.frames import CameraId
+from service.base.errors import ServiceError
+from service.base.schema import always_present
+
+
+class Report(BaseModel):
+    """A report of one part of the daemon at one moment."""
+
+    model_config = ConfigDict(frozen=True, json_schema_extra=always_present)
+
+
+class ConfigurationState(Report):
+    """What became of the configuration file since the daemon has read it."""
+
+    loaded_at: str = Field(description="When the settings in use were read")
+    restart_needed_for: tuple[str, ...] = Field(
+        description="Settings, as `section.name`, that the file says otherwise by now and a restart alone applies"
+    )
+    problem: str | None = Field(
+        description="Why the file was refused at the last SIGHUP; the settings before stay in use"
+    )
+
+
+class DeviceState(StrEnum):
+    """State of one camera or of the light gate."""
+
+    CLOSED = "closed"
+    ARMED = "armed"
+    LOST = "lost"
+    """It does not work or does not answer; the daemon keeps trying to bring it back."""
+
+
+class AcquisitionState(StrEnum):
+    """State of the rig, from ignoring stones to measuring them."""
+
+    DISARMED = "disarmed"
+    """Triggers of the light gate are ignored."""
+    ARMING = "arming"
+    ARMED = "armed"
+    """Every trigger becomes a bundle."""
+    HELD = "held"
+    """Arming was requested, but devices are lost or nothing can be stored; it is armed again by itself."""
+    DISARMING = "disarming"
+    STOPPING = "stopping"
+    """The daemon is stopping and accepts no more requests."""
+
+
+class AcquisitionTarget(StrEnum):
+    """A state of the rig that can be requested."""
+
+    ARMED = "armed"
+    DISARMED = "disarmed"
+
+
+TRANSITIONS: Mapping[tuple[AcquisitionState, AcquisitionTarget], AcquisitionState] = {
+    (AcquisitionState.DISARMED, AcquisitionTarget.ARMED): AcquisitionState.ARMING,
+    (AcquisitionState.ARMING, AcquisitionTarget.ARMED): AcquisitionState.ARMING,
+    (AcquisitionState.ARMED, AcquisitionTarget.ARMED): AcquisitionState.ARMED,
+    (AcquisitionState.HELD, AcquisitionTarget.ARMED): AcquisitionState.HELD,
+    (AcquisitionState.DISARMED, AcquisitionTarget.DISARMED): AcquisitionState.DISARMED,
+    (AcquisitionState.ARMING, AcquisitionTarget.DISARMED): AcquisitionState.DISARMING,
+    (AcquisitionState.ARMED, AcquisitionTarget.DISARMED): AcquisitionState.DISARMING,
+    (AcquisitionState.HELD, AcquisitionTarget.DISARMED): AcquisitionState.DISARMING,
+    (AcquisitionState.DISARMING, AcquisitionTarget.DISARMED): AcquisitionState.DISARMING,
+}
+"""The state that follows a request; requesting a state that is reached or on its way changes nothing. Pairs that are
+missing are conflicts: arming while disarming, and anything while stopping."""
+
+
+class ConflictError(ServiceError):
+    """The acquisition cannot change from its current state to the requested one."""
+
+    def __init__(self, current: AcquisitionState, target: AcquisitionTarget) -> None:
+        super().__init__(f"acquisition is {current} and cannot become {target} now")
+        self.current = current
+        self.target = target
+
+
+class NotDisarmedError(ServiceError):
+    """The acquisition uses the cameras, so nobody else may."""
+
+    def __init__(self, current: AcquisitionState) -> None:
+        super().__init__(f"acquisition is {current}: it must be disarmed first")
+        self.current = current
+
+
+def next_state(current: AcquisitionState, target: AcquisitionTarget) -> AcquisitionState:
+    """Return the state that follows a request for `target`; raise `ConflictError` where `TRANSITIONS` has none."""
+    try:
+        return TRANSITIONS[current, target]
+    except KeyError:
+        raise ConflictError(current, target) from None
+
+
+class CheckStatus(StrEnum):
+    """Result of one check, from best to worst."""
+
+    PASS = "pass"  # noqa: S105 - a word of the health+json draft
+    WARN = "warn"
+    FAIL = "fail"
+
+    @classmethod
+    def of(cls, *, warn: bool = False, fail: bool = False) -> "CheckStatus":
+        """Return the worst that applies."""
+        if fail:
+            return cls.FAIL
+        return cls.WARN if warn else cls.PASS
+
+
+class Ne107(StrEnum):
+    """Device state in the words of NAMUR NE 107."""
+
+    GOOD = "good"
+    CHECK_FUNCTION = "check_function"
+    """Results are temporarily not to be trusted: calibration, replay, service."""
+    MAINTENANCE_REQUIRED = "maintenance_required"
+    """Results are still as specified, but will not be for long."""
+    OUT_OF_SPECIFICATION = "out_of_specification"
+    """Results are less certain than specified."""
+    FAILURE = "failure"
+    """There are no results."""
+
+
+class AcquisitionStatus(Report):
+    """State of the rig; counters are since it was last armed."""
+
+    state: AcquisitionState = Field(
+        description="State of the rig; `held`: arming was requested, and devices or the store do not allow it"
+    )
+    trouble: str | None = Field(default=None, description="Why it is held; null when it is not")
+    activity: Literal["idle", "measuring", "suspended"] = Field(
+        default="idle", description="Suspended: armed, and no stone for a minute"
+    )
+    cameras_armed: int = Field(default=0, description="Cameras that expose at each trigger")
+    cameras: int = Field(default=0, description="Cameras of the rig")
+    gate: DeviceState = Field(description="State of the light gate", default=DeviceState.CLOSED)
+    gate_error: str | None = Field(
+        default=None, description="Why the light gate is lost; null when it is not"
+    )
+    gate_warnings: tuple[str, ...] = Field(
+        default=(), description="What works but needs attention, with the remedy"
+    )
+    last_stone_age_s: float | None = Field(
+        default=None, description="Seconds since the last stone; null before the first"
+    )
+    triggers: int = Field(
+        default=0, description="Since the rig was armed, exposures of the empty rig among them"
+    )
+    orphans: int = Field(
+        default=0, description="Stones that the gate did not announce; measured all the same"
+    )
+    unseen: int = Field(
+        default=0,
+        description="Stones that only the gate's counter shows, without announcement or image; lost",
+    )
+    in_dead_time: int = Field(default=0, description="Triggers too soon after another; lost")
+    triggers_ignored: int = Field(
+        default=0,
+        description="Bounces merged by the gate with the stone before them, and late announcements of orphans",
+    )
+    triggers_lost: int = Field(
+        default=0,
+        description="Gaps in the gate's own counter: stones it did not announce, orphans or unseen",
+    )
+    events_refused: int = Field(default=0, description="Frames dropped because the daemon was too slow")
+
+
+class HealthCheck(Report):
+    """Result of one check of the daemon's health."""
+
+    status: CheckStatus = Field(description="Result of the check")
+    observed_value: float | int | str | bool | None = Field(
+        default=None, description="What was observed; null when there is nothing to tell"
+    )
+    observed_unit: str | None = Field(default=None, description="Unit of `observed_value`; null: none")
+    detail: str | None = Field(
+        default=None, description="What is wrong and what to do, in words; null when nothing is"
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Health:
+    """State of the daemon, with the checks that it follows from."""
+
+    ne107: Ne107
+    ready: bool
+    """Whether the next stone will be measured."""
+    reasons: tuple[str, ...] = ()
+    """Why it is not ready, or not `good`."""
+    checks: Mapping[str, HealthCheck]
+    """By name: `camera:c01`, `cameras`, `camera_process`, `gate`, `trigger_line`, `progress`, `loop`, `queue`,
+    `workers`, `background`, `segmentation`, `calibration`, `drops`, `clock`, `store`, `disk`, `disk_days`,
+    `retention`, `backup`, `keys`, `archive`, `recording`, `rig`, `optics`, `refinement`."""
+    gate_ne107: Ne107 = Ne107.GOOD
+    rig_ne107: Ne107 = Ne107.GOOD
+
+
+class CameraOptics(Report):
+    """How well a camera sees: medians of the latest 20 exposures, null before the fifth.
+
+    They are compared with the clean rig: the first exposures with these optical settings, as long as the
+    background is kept.
+    """
+
+    brightness: float | None = Field(
+        default=None, description="Light on the wall beside the stone, 1: as in the clean rig"
+    )
+    gradient_u: float | None = Field(
+        default=None, description="Change of the brightness from the left border to the right one"
+    )
+    gradient_v: float | None = Field(
+        default=None, description="Change of the brightness from the upper border to the lower one"
+    )
+    flicker: float | None = Field(
+        default=None, description="Standard deviation of the brightness from exposure to exposure"
+    )
+    dust: float | None = Field(default=None, description="Share of the light lost in patches, 0..1")
+    spots_share: float | None = Field(
+        default=None, description="Share of the view darker than its surroundings, 0..1"
+    )
+    saturated_share: float | None = Field(
+        default=None, description="Share of all pixels that are saturated, 0..1"
+    )
+    noise_grey: float | None = Field(default=None, description="Noise of a pixel, grey levels")
+    edge_width_px: float | None = Field(default=None, description="Width of outlines from 10 to 90 %, px")
+    edge_width_u_px: float | None = Field(
+        default=None,
+        description="The same across u: greater than across v where stones or camera move along u",
+    )
+    edge_width_v_px: float | None = Field(default=None, description="The same across v")
+    contrast: float | None = Field(
+        default=None, description="Contrast of stone and wall at the outline, share of the wall's level"
+    )
+
+
+class CameraStatus(Report):
+    """State of one camera, and its counters since the daemon started."""
+
+    id: CameraId = Field(description="Place of the camera in the rig, such as `c01`")
+    state: DeviceState = Field(description="Whether it exposes, is closed, or does not answer")
+    ne107: Ne107 = Field(default=Ne107.GOOD, description="Its state in the terms of NAMUR NE 107")
+    last_error: str | None = Field(default=None, description="Why it was last lost; null when it never was")
+    recoveries: int = Field(default=0, description="How often it came back from a loss")
+    serial: str | None = Field(default=None, description="Serial number; null while unknown")
+    model: str | None = Field(default=None, description="Vendor's name of the model; null while unknown")
+    address: str | None = Field(default=None, description="Its network address; null while unknown")
+    frames: int = Field(default=0, description="Frames that arrived complete")
+    fps: float = Field(default=0.0, description="Frames per second over the last ten seconds")
+    lost: int = Field(default=0, description="Frames reported lost")
+    late: int = Field(default=0, description="Frames that came after their bundle was closed")
+    duplicates: int = Field(default=0, description="Frames that came twice")
+    missing: int = Field(default=0, description="Bundles without a frame of this camera")
+    strays: int = Field(default=0, description="Frames without a trigger")
+    not_exposed: int = Field(default=0, description="Triggers that it did not expose for, by its frame ids")
+    unannounced: int = Field(default=0, description="Exposures without a trigger, by its frame ids")
+    failed_frames: int = Field(default=0, description="Frames received in part, since it was opened")
+    missing_packets: int = Field(default=0, description="Packets that never came, since it was opened")
+    resent_packets: int = Field(
+        default=0, description="Packets that came when requested again, since it was opened"
+    )
+    receive_buffer_bytes: int | None = Field(
+        default=None, description="Size of its socket's buffer, as the kernel granted it"
+    )
+    temperature_c: float | None = Field(
+        default=None, description="Temperature of the camera, °C; null when it does not tell"
+    )
+    ptp_offset_ns: int | None = Field(
+        default=None, description="Offset from the PTP master's clock; null without PTP"
+    )
+    latency_ms: float | None = Field(
+        default=None, description="From trigger to arrival, mean of the latest 64 bundles"
+    )
+    latency_min_ms: float | None = Field(default=None, description="The least of these, ms")
+    latency_max_ms: float | None = Field(default=None, description="The greatest of these, ms")
+    last_frame_age_s: float | None = Field(
+        default=None, description="Seconds since the last frame; null before it"
+    )
+    skew_us: float | None = Field(
+        default=None,
+        description="By how much its exposures are off those of the others in time; 20 us are a pixel of fall",
+    )
+    tangency_px: float | None = Field(
+        default=None,
+        description="Epipolar residual of its outlines, median of the latest 20 stones; from 0.3 it has moved",
+    )
+    tangency_drift_px: float | None = Field(
+        default=None,
+        description="Its rise since the first 20 stones after the start or the activation of this calibration",
+    )
+    residual_px: float | None = Field(
+        default=None,
+        description="By how much its outlines leave the hull of the other views, median of the latest 20 stones",
+    )
+    residual_drift_px: float | None = Field(
+        default=None,
+        description="Its rise since the first 20 stones after the start or the activation of this calibration",
+    )
+    optics: CameraOptics | None = Field(default=None, description="How well it sees")
+    warnings: tuple[str, ...] = Field(
+        default=(), description="What works but needs attention, with the remedy"
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationFacts:
+    """The calibration that stones are measured with now."""
+
+    calibration_id: str
+    method: str
+    used_since: str
+    """Time of its activation, RFC 3339."""
+    at_work: str | None = None
+    """Which open calibration or verification collects drops, None if none does."""
+    trouble: str | None = None
+    """Why results of this calibration are not to be trusted, None if they are."""

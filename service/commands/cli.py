@@ -1,0 +1,113 @@
+"""The console script `stonefall`: each command is a module in `service/commands`.
+
+A command that fails prints one line to stderr and exits with 1; wrong usage exits with 2.
+"""
+
+import sys
+from collections.abc import Callable, Iterable
+from importlib import import_module, metadata
+from typing import Annotated, Any
+
+import typer
+
+from service.processing.compiled_code import isolate_numba_cache
+
+COMMANDS = {
+    "init": "service.commands.init",
+    "serve": "service.commands.serve",
+    "check-config": "service.commands.check_config",
+    "check-host": "service.commands.check_host",
+    "doctor": "service.commands.doctor",
+    "diagnostics": "service.commands.diagnostics",
+    "compile": "service.commands.compile",
+    "synthesize": "service.commands.synthesize",
+    "import": "service.commands.import_images",
+    "export": "service.commands.export_images",
+    "calibrate": "service.commands.calibrate",
+    "calibration": "service.commands.calibration",
+    "measure": "service.commands.measure",
+    "lots": "service.commands.lots",
+    "alarms": "service.commands.alarms",
+    "report": "service.commands.report",
+    "models": "service.commands.models",
+    "record": "service.commands.record",
+    "audit": "service.commands.audit",
+    "keys": "service.commands.keys",
+    "backup": "service.commands.backup",
+    "remeasure": "service.commands.remeasure",
+    "compare": "service.commands.compare",
+    "restore": "service.commands.restore",
+    "shape": "service.commands.shape",
+    "fit-volume": "service.commands.fit_volume",
+    "simulate": "service.commands.simulate",
+    "rehearse": "service.commands.rehearse",
+    "cameras": "service.commands.cameras",
+    "benchmark": "service.commands.benchmark",
+}
+"""Module of each command. Its `command` is a function, whose docstring is the help, or a `typer.Typer` of several."""
+
+
+def build_app(names: Iterable[str] = COMMANDS) -> typer.Typer:
+    """Build the application with these commands, importing the module of each and nothing of the others."""
+    app = typer.Typer(
+        name="stonefall",
+        help="Photographs every stone leaving a crusher and knows its shape before it lands.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+    )
+    app.callback()(_options)  # with a callback a single command stays a subcommand
+    for name in names:
+        command: typer.Typer | Callable[..., Any] = import_module(COMMANDS[name]).command
+        if isinstance(command, typer.Typer):
+            app.add_typer(command, name=name)
+        else:
+            app.command(name)(command)
+    return app
+
+
+def version_line() -> str:
+    """Return the versions of the package, of the REST interface and of the algorithm."""
+    from service.api.version import API_VERSION
+    from service.results.version import ALGORITHM_VERSION
+
+    return f"stonefall {metadata.version('stonefall')}, API {API_VERSION}, algorithm {ALGORITHM_VERSION}"
+
+
+def main() -> None:
+    """Run the command line; a failure that is expected becomes one line on stderr."""
+    # imported here: `stonefall --help` needs none of it
+    from drivers.errors import DriverError
+    from pipeline.errors import PipelineError
+    from service.base.errors import ServiceError
+
+    isolate_numba_cache()
+    asked_for = sys.argv[1:2]
+    needed = (
+        () if asked_for == ["--version"] else [name for name in asked_for if name in COMMANDS] or COMMANDS
+    )
+    try:
+        build_app(needed)()
+    except (DriverError, PipelineError, ServiceError, OSError) as err:
+        print(f"stonefall: {' '.join(str(err).split())}", file=sys.stderr)  # noqa: T201 - a command's one line for people
+        sys.exit(1)
+
+
+def _print_version(is_wanted: bool) -> None:
+    if is_wanted:
+        typer.echo(version_line())
+        raise typer.Exit
+
+
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            callback=_print_version,
+            is_eager=True,
+            help="Print the versions of package, REST interface and algorithm.",
+        ),
+    ] = False,
+) -> None:
+    """Declare the options of `stonefall` itself."""

@@ -1,0 +1,159 @@
+"""The daemon of a rehearsal: a process that is configured, killed, stopped and started as told."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from http.client import HTTPConnection, HTTPException
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from service.api.version import BASE
+from service.base.errors import ServiceError
+from service.commands.rehearsal.wall_clock import set_ahead
+
+HOST = "127.0.0.1"
+PATIENCE_S = 300.0
+"""Longest wait for anything; the first start on a machine compiles for a minute or two."""
+STOP_S = 60.0
+POLL_S = 0.1
+SERVE = "from service.commands.cli import main; main()"
+BY_OWN_CLOCK = (
+    "import sys; from pathlib import Path; from service.commands.rehearsal.wall_clock import follow_file;"
+    " follow_file(Path(sys.argv.pop(1)));"
+)
+
+
+class RehearsalError(ServiceError):
+    """The daemon of a rehearsal does not do what the script expects."""
+
+
+class RehearsedDaemon:
+    """A daemon in a folder; not running until it is started.
+
+    Attributes
+    ----------
+    settings
+        The configuration that the next start has, as TOML has it.
+    """
+
+    def __init__(self, folder: Path, settings: Mapping[str, Any], port: int, *, has_own_clock: bool) -> None:
+        self.folder = folder
+        self.settings = dict(settings)
+        self.port = port
+        self.state_dir = folder / "state"
+        self._config, self._log, self._clock = (
+            folder / "stonefall.toml",
+            folder / "daemon.log",
+            folder / "clock",
+        )
+        self._has_own_clock = has_own_clock
+        self._process: subprocess.Popen[bytes] | None = None
+        self._asked_port = port
+        set_ahead(self._clock, 0)
+
+    def start(self, *, is_reachable: bool = True) -> None:
+        """Start it and return when it answers: at the port of the rehearsal, or where no client looks for it."""
+        self._asked_port = self.port if is_reachable else free_port()
+        api = {**self.settings.get("api", {}), "host": HOST, "port": self._asked_port}
+        self._config.write_text(tomli_w.dumps({**self.settings, "api": api}))
+        command = [sys.executable, "-c", SERVE, "serve", "--config", str(self._config)]
+        if self._has_own_clock:
+            command[2:3] = [BY_OWN_CLOCK + SERVE, str(self._clock)]
+        with self._log.open("ab") as log:
+            # in a session of its own: Ctrl-C reaches only the rehearsal, which stops it
+            self._process = subprocess.Popen(command, stderr=log, start_new_session=True)  # noqa: S603 - ourselves
+        self.wait_for("/health/live", lambda _: True)
+
+    def stop(self) -> None:
+        """Stop it in an orderly way, if it runs."""
+        if self._process is None:
+            return
+        self._process.send_signal(signal.SIGTERM)
+        try:
+            self._process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process = None
+
+    def kill(self) -> None:
+        """End it at once."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+    def set_clock(self, ahead_s: float) -> None:
+        """Set its wall clock to so many seconds ahead of the host's."""
+        set_ahead(self._clock, ahead_s)
+
+    def ask(self, method: str, path: str, body: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return the answer to a request.
+
+        Raises
+        ------
+        RehearsalError
+            It refuses, or does not answer.
+        """
+        with closing(HTTPConnection(HOST, self._asked_port, timeout=60)) as connection:
+            headers = {"Content-Type": "application/json"} if body is not None else {}
+            content = None if body is None else json.dumps(body)
+            try:
+                connection.request(method, f"{BASE}{path}", content, headers)
+                answer = connection.getresponse()
+                document = json.loads(answer.read())
+            except (OSError, HTTPException, ValueError) as err:
+                raise RehearsalError(f"{method} {path}: no answer: {err}") from err
+        if answer.status >= 400:
+            raise RehearsalError(f"{method} {path}: {answer.status}: {document.get('detail')}")
+        return dict(document)
+
+    def find(self, path: str) -> dict[str, Any] | None:
+        """Return what is at a path, None while there is no answer or nothing there."""
+        try:
+            return self.ask("GET", path)
+        except RehearsalError:
+            return None
+
+    def wait_for(self, path: str, is_enough: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """Return the answer once it is enough.
+
+        Raises
+        ------
+        RehearsalError
+            The daemon has ended, or it took too long.
+        """
+        deadline_s = time.monotonic() + PATIENCE_S
+        while (found := self.find(path)) is None or not is_enough(found):
+            if self._process is None or self._process.poll() is not None:
+                last = self._log.read_text(errors="replace").splitlines()[-1:]
+                raise RehearsalError(f"the daemon ended: {' '.join(last)}")
+            if time.monotonic() > deadline_s:
+                raise RehearsalError(f"{path} is not as expected within {PATIENCE_S:.0f} s: {found}")
+            time.sleep(POLL_S)
+        return found
+
+
+def free_port() -> int:
+    """Return a port that nobody listens on."""
+    with closing(socket.socket()) as found:
+        found.bind((HOST, 0))
+        return int(found.getsockname()[1])
+
+
+def is_free(port: int) -> bool:
+    """Return whether a port can be listened on."""
+    with closing(socket.socket()) as tried:
+        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            tried.bind((HOST, port))
+        except OSError:
+            return False
+    return True

@@ -1,0 +1,143 @@
+"""The alarms of the daemon: the states in memory, each change in the store and among the events."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from typing import Any
+
+from drivers.files.times import utc_now
+from pipeline.frames import rfc3339
+from service.base.status import HealthCheck
+from service.health.alarms.alarm import ANNOUNCED, Alarm, AlarmState
+from service.health.alarms.machine import MAX_SHELVED_S, AlarmMachine, Change
+from service.health.alarms.rules import Rules, load_rules
+from service.health.alarms.table import keep, unended
+from service.store import Store, audit
+from service.store.event_log import EventLog, Write
+from service.store.events import NewEvent
+
+WRITTEN_S = 5.0
+"""Longest wait of a request for the disk; what was asked for holds all the same, and is written later."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmList:
+    """The alarms that have not ended, the most urgent first."""
+
+    announced: list[Alarm]
+    shelved: list[Alarm]
+    suppressed: list[Alarm]
+
+
+async def open_alarms(store: Store, log: EventLog) -> "Alarms":
+    """Return the alarms, as an earlier run of the daemon has left them."""
+    left, next_id = await store.read(unended)
+    machine = AlarmMachine(load_rules(), left, next_id=next_id)
+    now, now_s = datetime.now(UTC), time.monotonic()
+    for alarm in left:
+        if alarm.shelved_until is not None:
+            remaining = datetime.fromisoformat(alarm.shelved_until) - now
+            machine.resume_shelf(alarm.check, now_s + min(remaining.total_seconds(), MAX_SHELVED_S))
+    return Alarms(machine, log)
+
+
+class Alarms:
+    """Alarms of the daemon; made by `open_alarms`. Call it on the event loop."""
+
+    def __init__(self, machine: AlarmMachine, log: EventLog, rules: Rules | None = None) -> None:
+        self._machine = machine
+        self._log = log
+        self._checks: Mapping[str, HealthCheck] = {}
+        self.rules = rules or load_rules()
+
+    def update(self, checks: Mapping[str, HealthCheck]) -> None:
+        """Take the checks of health as they are now; to be called often."""
+        self._checks = checks
+        for change in self._machine.update(checks, time.monotonic(), utc_now()):
+            self._note(change)
+
+    def list(self) -> AlarmList:
+        """Return all alarms that have not ended."""
+        alarms = self._machine.alarms
+        return AlarmList(
+            announced=[alarm for alarm in alarms if alarm.state in ANNOUNCED],
+            shelved=[alarm for alarm in alarms if alarm.state is AlarmState.SHELVED],
+            suppressed=[alarm for alarm in alarms if alarm.state is AlarmState.SUPPRESSED],
+        )
+
+    async def acknowledge(self, number: int, who: str) -> Alarm | None:
+        """Have somebody take note of an alarm, and return it; None if there is none that has not ended.
+
+        Raises
+        ------
+        AlarmConflictError
+            It is shelved or suppressed.
+        """
+        before = self._machine.find(number)
+        change = self._machine.acknowledge(number, who, utc_now())
+        if change is None:
+            return before
+        return await self._noted(change, before, who, "alarm acknowledged")
+
+    async def shelve(self, number: int, minutes: float, who: str, reason: str) -> Alarm | None:
+        """Put an alarm aside for some minutes, and return it; None if there is none that has not ended."""
+        before, shelf = self._machine.find(number), timedelta(minutes=minutes)
+        change = self._machine.shelve(
+            number,
+            who,
+            reason,
+            ends_s=time.monotonic() + min(shelf.total_seconds(), MAX_SHELVED_S),
+            until=rfc3339(datetime.now(UTC) + shelf),
+            at=utc_now(),
+        )
+        return None if change is None else await self._noted(change, before, who, "alarm shelved")
+
+    async def unshelve(self, number: int, who: str) -> Alarm | None:
+        """Take an alarm from the shelf, and return it; None if there is none that has not ended.
+
+        Raises
+        ------
+        AlarmConflictError
+            It is not shelved.
+        """
+        before, after = self._machine.unshelve(number, time.monotonic()), None
+        for change in self._machine.update(self._checks, time.monotonic(), utc_now()):
+            if change.alarm.id == number:
+                after = change.alarm
+                self._note(change, _audited(before, after, who, "alarm unshelved"))
+            else:
+                self._note(change)
+        await self._log.written(WRITTEN_S)
+        return after or before
+
+    async def _noted(self, change: Change, before: Alarm | None, who: str, action: str) -> Alarm:
+        self._note(change, _audited(before, change.alarm, who, action))
+        await self._log.written(WRITTEN_S)
+        return change.alarm
+
+    def _note(self, change: Change, noted: Write | None = None) -> None:
+        alarm = change.alarm
+
+        def write(connection: Any) -> None:
+            keep(connection, alarm)
+            if noted is not None:
+                noted(connection)
+
+        events = (
+            ()
+            if change.event is None
+            else (NewEvent(type=change.event, subject=alarm.check, data=_data(alarm)),)
+        )
+        self._log.note(*events, write=write)
+
+
+def _audited(before: Alarm | None, after: Alarm, who: str, action: str) -> Write:
+    facts = None if before is None else asdict(before)
+    return partial(audit.note, who=who, action=action, subject=after.check, before=facts, after=asdict(after))
+
+
+def _data(alarm: Alarm) -> Mapping[str, Any]:
+    """Return what an event says of an alarm."""
+    return {name: value for name, value in asdict(alarm).items() if name not in ("check", "changed_at")}

@@ -1,0 +1,155 @@
+"""How rate, size and shape of the stones went over the last hours."""
+
+import sqlite3
+from datetime import UTC, datetime, timedelta
+from itertools import pairwise
+
+from pydantic import Field
+
+from pipeline.frames import rfc3339
+from pipeline.gradation.curve import Inverse, exact_mm, quantile
+from pipeline.gradation.estimates import NOT_MEASURED
+from pipeline.gradation.estimators import sample_of, share_percent
+from pipeline.gradation.indices import is_flaky, is_non_cubical
+from pipeline.gradation.sieves import MeasuredRange
+from pipeline.gradation.stones import Lot
+from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
+from service.base.schema import TIME
+from service.base.status import Report
+from service.lots.figures import Figure, figure
+from service.lots.lots import LotState
+from service.lots.trends.diary import DiaryKind, entries
+from service.lots.trends.stretches import stretch
+
+BUCKETS_S = (60, 120, 300, 600, 900, 1800, 3600, 7200, 10_800, 21_600, 43_200, 86_400)
+"""Lengths of a bucket, s: of each the next is a multiple or nearly so, and all part a day."""
+MAX_BUCKETS = 48
+MAX_STONES = 2000
+"""Stones of a bucket that are looked at; of more, every so many."""
+MAX_MARKS = 500
+"""Entries of the diary, and lots, that a trend names, the newest."""
+
+
+class TrendBucket(Report):
+    """What fell within a part of the time."""
+
+    since: str = Field(description="Beginning, RFC 3339 UTC", json_schema_extra=TIME)
+    until: str = Field(description="End; of the last one it is now", json_schema_extra=TIME)
+    n_stones: int = Field(description="Stones that fell, whatever became of them")
+    measured: int = Field(description="Stones with a body and its measures")
+    stones_per_min: float = Field(
+        description="Stones that fell, over the whole time of the bucket, 1/min; those of which only the light gate's"
+        " counter knows, many in one result, are left out: when each of them fell is not known"
+    )
+    d50_mm: Figure = Field(
+        description="Size that half of the mass is smaller than, from the stones themselves, mm"
+    )
+    flakiness_percent: Figure = Field(description="Flakiness index FI, EN 933-3, %")
+    shape_percent: Figure = Field(description="Shape index SI, EN 933-4, %")
+
+
+class DiaryDocument(Report):
+    """An entry of the crusher's diary."""
+
+    entry: int = Field(description="Number of the entry, in the order in which they were noted")
+    at: str = Field(description="When it was done, RFC 3339 UTC", json_schema_extra=TIME)
+    kind: DiaryKind = Field(
+        description="What was done: to the `gap` (closed side setting), the `liner`, the `feed`, or `other`"
+    )
+    text: str = Field(description="In the words of who noted it; may be empty")
+    value: float | None = Field(
+        description="Of a `gap` its setting, mm; of a `feed` its rate, t/h; null: none given"
+    )
+    who: str = Field(description="Who noted it: a key or this machine")
+    noted_at: str = Field(description="When it was noted, RFC 3339 UTC", json_schema_extra=TIME)
+
+
+class TrendLot(Report):
+    """A lot that was open within the time."""
+
+    lot: str = Field(description="Id of the lot")
+    product: str = Field(description="Id of its product")
+    state: LotState = Field(description="`open`, `closed` or `void`")
+    opened_at: str = Field(description="When it was opened, RFC 3339 UTC", json_schema_extra=TIME)
+    closed_at: str | None = Field(
+        description="When it was closed or voided, RFC 3339 UTC; null while open", json_schema_extra=TIME
+    )
+
+
+class Trend(Report):
+    """Rate, size and shape over some hours, with what was done to the crusher and which lots were open."""
+
+    since: str = Field(description="Beginning of the first bucket, RFC 3339 UTC", json_schema_extra=TIME)
+    until: str = Field(description="Now, as the host sees it", json_schema_extra=TIME)
+    bucket_s: int = Field(description="Length of a bucket, s; the last one is not over yet")
+    buckets: list[TrendBucket] = Field(description="Oldest first, also those in which nothing fell")
+    diary: list[DiaryDocument] = Field(description="Entries within the time, oldest first, the newest 500")
+    lots: list[TrendLot] = Field(
+        description="Lots that were open within the time, oldest first, the newest 500"
+    )
+
+
+def bucket_s_of(hours: float) -> int:
+    """Return the length of the buckets that some hours are parted into, s."""
+    return next((each for each in BUCKETS_S if hours * 3600 / each <= MAX_BUCKETS), BUCKETS_S[-1])
+
+
+def trend(connection: sqlite3.Connection, now: str, hours: float, measured: MeasuredRange) -> Trend:
+    """Return how things went over the last hours; buckets begin at whole multiples of their length, UTC."""
+    bucket_s = bucket_s_of(hours)
+    end = datetime.fromisoformat(now)
+    begin_s = (end - timedelta(hours=hours)).timestamp() // bucket_s * bucket_s
+    edges = [
+        rfc3339(datetime.fromtimestamp(begin_s + each * bucket_s, UTC))
+        for each in range(int(-(-(end.timestamp() - begin_s) // bucket_s)))
+    ] + [now]
+    return Trend(
+        since=edges[0],
+        until=now,
+        bucket_s=bucket_s,
+        buckets=[_bucket(connection, since, until, measured) for since, until in pairwise(edges)],
+        diary=[
+            DiaryDocument.model_validate(each, from_attributes=True)
+            for each in reversed(entries(connection, edges[0], now, MAX_MARKS))
+        ],
+        lots=_lots(connection, edges[0], now),
+    )
+
+
+def _bucket(connection: sqlite3.Connection, since: str, until: str, measured: MeasuredRange) -> TrendBucket:
+    found = stretch(connection, since, until, MAX_STONES)
+    d50, flakiness, shape = figures_of_trend(found.lot, measured)
+    lasted = datetime.fromisoformat(until) - datetime.fromisoformat(since)
+    return TrendBucket(
+        since=since,
+        until=until,
+        n_stones=found.n_stones,
+        measured=found.n_measured,
+        stones_per_min=found.n_timed / (lasted / timedelta(minutes=1)),
+        d50_mm=d50,
+        flakiness_percent=flakiness,
+        shape_percent=shape,
+    )
+
+
+def figures_of_trend(lot: Lot, measured: MeasuredRange) -> tuple[Figure, Figure, Figure]:
+    """Return D50, flakiness and shape index of some stones."""
+    sample = sample_of(lot, LENGTH_SD_PERCENT / 100)
+    d50 = quantile(sample, 50, Inverse(size_mm=lambda share: exact_mm(sample.lot, share)), measured)
+    return (
+        figure(NOT_MEASURED if d50 is None else d50.size_mm),
+        figure(share_percent(sample, is_flaky(measured))),
+        figure(share_percent(sample, is_non_cubical(measured))),
+    )
+
+
+def _lots(connection: sqlite3.Connection, since: str, until: str) -> list[TrendLot]:
+    rows = connection.execute(
+        "SELECT lot, product, state, opened_at, closed_at FROM lots"
+        " WHERE opened_at < ? AND coalesce(closed_at, '9') >= ? ORDER BY opened_at DESC LIMIT ?",
+        (until, since, MAX_MARKS),
+    ).fetchall()
+    return [
+        TrendLot(lot=lot, product=product, state=LotState(state), opened_at=opened_at, closed_at=closed_at)
+        for lot, product, state, opened_at, closed_at in reversed(rows)
+    ]
