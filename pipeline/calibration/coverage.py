@@ -10,6 +10,7 @@ from pipeline.calibration.drops import BallDrop
 from pipeline.frames import CameraId
 from pipeline.rig.camera_arrays import nearest_point
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
+from pipeline.schema import SCHEMA
 
 CELL_PX = 32
 """Edge of the image cells by which the share of an image that showed a ball is counted."""
@@ -21,38 +22,50 @@ DIRECTIONS = {"+x": (0, 1), "-x": (0, -1), "+y": (1, 1), "-y": (1, -1), "+z": (2
 class CoverageGoals:
     """Sufficient coverage; eight balls dropped at random within 9 mm mostly reach it."""
 
-    n_drops: int = (
-        8  # the paper's number; beyond it, twice the drops reduce the error by the root of two only
-    )
+    __pydantic_config__ = SCHEMA
+
+    n_drops: int = 8  # the paper's number; twice the drops reduce the error by the root of two only
+    """Drops located by two cameras or more."""
     n_drops_per_camera: int = 5  # three determine the pose, two more check it
-    reach_mm: float = 4.0
-    """Least reach of the ball centres in each of six directions: half a stone of 8 mm; lengths are extrapolated less
-    than twofold."""
+    """Drops that each camera saw whole."""
+    reach_mm: float = 4.0  # half a stone of 8 mm: lengths are extrapolated less than twofold
+    """Reach of the centres of the drops in each direction, mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraCoverage:
-    """Coverage of one camera's image."""
+    """Drops that one camera saw."""
 
-    n_drops: int  # that it saw whole
-    field_share: float  # share of the image that showed a ball in some drop, 0..1
+    __pydantic_config__ = SCHEMA
+
+    n_drops: int
+    """Drops that this camera saw whole."""
+    field_share: float
+    """Share of the image in which drops were seen, 0..1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coverage:
-    """Coverage of the measuring volume, in the world frame, and of the images."""
+    """Distribution of the drops over the measuring volume and the images."""
 
-    n_drops: int  # seen by at least two cameras
-    extent_mm: tuple[float, float, float]  # range of the ball centres along x, y, z
-    spread_mm: tuple[float, float, float]  # standard deviations along the principal axes, greatest first
-    reaches_mm: Mapping[str, float]  # of the centres from the middle, towards each of `DIRECTIONS`
+    __pydantic_config__ = SCHEMA
+
+    n_drops: int
+    """Drops located by two cameras or more."""
+    extent_mm: tuple[float, float, float]
+    """Extent of their centres along x, y, z; mm."""
+    spread_mm: tuple[float, float, float]
+    """Standard deviation of their centres along their principal axes, mm."""
+    reaches_mm: Mapping[str, float]
+    """How far the centres reach from the middle of the rig, by direction: `+x`, `-x` ... `-z`; mm."""
     cameras: Mapping[CameraId, CameraCoverage]
+    """By camera."""
     goals: CoverageGoals
-    missing: str | None  # what to drop next, in words; `None`: the coverage is sufficient
-
-    @property
-    def is_sufficient(self) -> bool:
-        return self.missing is None
+    """What `is_sufficient` asks for."""
+    missing: str | None
+    """What to drop next; null when nothing is missing."""
+    is_sufficient: bool
+    """True if the drops suffice for a solution."""
 
 
 def coverage(drops: Sequence[BallDrop], rig: RigCalibration, goals: CoverageGoals | None = None) -> Coverage:
@@ -64,6 +77,7 @@ def coverage(drops: Sequence[BallDrop], rig: RigCalibration, goals: CoverageGoal
     reaches_mm = {
         name: float((sign * centers_mm[:, axis]).max(initial=0)) for name, (axis, sign) in DIRECTIONS.items()
     }
+    missing = _missing(len(located), reaches_mm, cameras, goals)
     return Coverage(
         n_drops=len(located),
         extent_mm=_triple(np.ptp(centers_mm, axis=0) if located else np.zeros(3)),
@@ -71,7 +85,8 @@ def coverage(drops: Sequence[BallDrop], rig: RigCalibration, goals: CoverageGoal
         reaches_mm=reaches_mm,
         cameras=cameras,
         goals=goals,
-        missing=_missing(len(located), reaches_mm, cameras, goals),
+        missing=missing,
+        is_sufficient=missing is None,
     )
 
 

@@ -5,14 +5,21 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pipeline.schema import SCHEMA
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SieveSet:
-    """The apertures that a curve is given at, rising, with the name and the source of the set."""
+    """A set of sieves."""
+
+    __pydantic_config__ = SCHEMA
 
     name: str
+    """Name to be used as `sieve_set`."""
     source: str
+    """Standard that it is from."""
     apertures_mm: tuple[float, ...]
+    """Apertures, mm, rising."""
 
     def __post_init__(self) -> None:
         if not self.apertures_mm or self.apertures_mm[0] <= 0:

@@ -59,14 +59,36 @@ KEY_PARAMETER = {
     "schema": {"type": "string", "pattern": f"^{KEY.pattern}$"},
 }
 
+FORMER = {
+    "Activation": "ActivationDocument",
+    "Attempt": "DeliveryDocument",
+    "AuditEntry": "AuditEntryDocument",
+    "CameraCoverage": "CameraCoverageDocument",
+    "Coverage": "CoverageDocument",
+    "CoverageGoals": "CoverageGoalsDocument",
+    "DiaryEntry": "DiaryDocument",
+    "ObservedDrop": "Drop",
+    "ProductDefinition": "ProductRequest",
+    "RecordingStatus": "Recording",
+    "SieveSet": "SieveSetDocument",
+    "Summary": "VerificationSummary",
+    "Verification": "VerificationDocument",
+    "VerificationParameters": "VerificationLimits",
+    "VerifiedBall": "VerifiedBallDocument",
+}
+"""Schemas whose dataclass has another name than generated clients know them by."""
+
 
 def complete(document: dict[str, Any]) -> None:
     """Add to the document of the routes what they do not say themselves."""
     schemas = document["components"]["schemas"]
+    for name, former in FORMER.items():
+        schemas[former] = schemas.pop(name) | {"title": former}
     problem = ProblemDocument.model_json_schema(ref_template="#/components/schemas/{model}")
     schemas |= problem.pop("$defs") | {"Problem": problem}
     for model, example in EXAMPLES.items():
-        schemas[model.model_config.get("title") or model.__name__]["examples"] = [example]
+        title = getattr(model, "model_config", {}).get("title") or model.__name__
+        schemas[FORMER.get(title, title)]["examples"] = [example]
     for method, operation in _operations(document):
         if method == "post" and "security" in operation:
             operation.setdefault("parameters", []).append(KEY_PARAMETER)
@@ -75,18 +97,26 @@ def complete(document: dict[str, Any]) -> None:
             for media_type, content in answer.get("content", {}).items():
                 if not content.get("schema"):
                     content["schema"] = {"type": "object"} if media_type.endswith("json") else BINARY
-    _widen_integers(document)
+    for schema in schemas.values():
+        for member in schema.get("properties", {}).values():
+            if "description" in member:
+                member["description"] = " ".join(member["description"].split())  # lines of a docstring
+    _suit_generators(document)
 
 
-def _widen_integers(part: Any) -> None:
-    """Give each integer its width: without one, clients in Java and C# take 32 bits, too few for bytes and ns."""
+def _suit_generators(part: Any) -> None:
+    """Give each integer its width, as Java and C# take 32 bits without one, and tuples the type of their members."""
     if isinstance(part, dict):
         if part.get("type") == "integer":
             part["format"] = "int64"
+        if (name := str(part.get("$ref")).rpartition("/")[2]) in FORMER:
+            part["$ref"] = f"#/components/schemas/{FORMER[name]}"
+        if "prefixItems" in part:  # generators know lists, no tuples; members of ours are alike
+            part["items"] = part.pop("prefixItems")[0]
         part = list(part.values())
     if isinstance(part, list):
         for inner in part:
-            _widen_integers(inner)
+            _suit_generators(inner)
 
 
 def _operations(document: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:

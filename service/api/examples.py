@@ -3,24 +3,22 @@
 from collections.abc import Mapping
 from typing import Any
 
-from pydantic import BaseModel
-
 from service.api.problems import ProblemDocument
 from service.api.routes.consumers import Cursor
-from service.api.routes.diary import DiaryRequest
 from service.api.routes.laboratory import SievingRequest
 from service.api.routes.lots import AssignRequest, CloseRequest, LotRequest, VoidRequest
 from service.api.routes.pins import Pin
-from service.api.routes.products import ProductRequest
-from service.api.routes.recordings import RecordingRequest
 from service.api.routes.results import ResultsPage
-from service.api.routes.verifications import VerificationRequest
+from service.calibration.verifications import VerificationRequest
 from service.lots.figures import LotDocument
+from service.lots.products import ProductDefinition
+from service.lots.trends.diary import DiaryRequest
+from service.recording.recordings import RecordingRequest
 
 INSTANCE_ID = "141fc8a1-0136-4f71-9b89-bda3f11805d3"
 
-EXAMPLES: Mapping[type[BaseModel], Mapping[str, Any]] = {
-    ProductRequest: {
+EXAMPLES: Mapping[type, Mapping[str, Any]] = {
+    ProductDefinition: {
         "title": "8/16 basalt",
         "density_kg_m3": 2850,
         "lower_mm": 8,

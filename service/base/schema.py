@@ -1,11 +1,37 @@
-"""What JSON schemas of answers say beyond their types."""
+"""What JSON schemas say beyond types: dataclasses are the schemas of the REST interface as they are."""
 
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter
 from pydantic.config import JsonDict
+
+from pipeline.frames import rfc3339
+from pipeline.schema import SCHEMA
 
 TIME: JsonDict = {"format": "date-time"}
 """Addition to the schema of a text that is a time, RFC 3339."""
+Time = Annotated[str, Field(json_schema_extra=TIME)]
+"""A time of an answer, RFC 3339 UTC."""
+OptionalTime = Annotated[str | None, Field(json_schema_extra=TIME)]
+GivenTime = Annotated[str, AfterValidator(rfc3339), Field(json_schema_extra=TIME)]
+"""A time that a client gives, RFC 3339 in any zone; the value is UTC."""
+ANSWER: ConfigDict = {**SCHEMA}  # type: ignore[typeddict-item]  # a plain dict, as pipeline knows no pydantic
+"""`__pydantic_config__` of a dataclass that is served: docstrings describe its fields, and all are always there."""
+REQUEST = ConfigDict(use_attribute_docstrings=True, extra="forbid")
+"""`__pydantic_config__` of a dataclass that is the body of a request."""
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+"""A name or title that people give."""
+Remark = Annotated[str, Field(max_length=2000)]
+
+
+def adds_to(base: type, config: ConfigDict = ANSWER) -> ConfigDict:
+    """Return the `__pydantic_config__` of a subclass: pydantic reads its own docstrings alone, not those of `base`."""
+
+    def describe(schema: dict[str, Any]) -> None:
+        for name, member in TypeAdapter(base).json_schema(mode="serialization")["properties"].items():
+            schema["properties"][name].setdefault("description", member.get("description"))
+
+    return {**config, "json_schema_extra": describe}
 
 
 def always_present(schema: dict[str, Any]) -> None:

@@ -24,7 +24,7 @@ from service.calibration.collecting import DropCollector
 from service.calibration.details import CalibrationDetails, calibration_details
 from service.calibration.drop_files import ObservedDrop, keep_drop
 from service.calibration.files import Activation, CalibrationRecord, image_sizes_px
-from service.calibration.plan import CalibrationPlan, Method
+from service.calibration.plan import CalibrationRequest, Method
 from service.calibration.solving import Solver, solve_apart, solve_calibration
 from service.calibration.startup import CalibrationsAtStart
 from service.calibration.states import (
@@ -34,7 +34,7 @@ from service.calibration.states import (
     CalibrationState,
     next_state,
 )
-from service.calibration.verifications import Verification, VerificationPlan, Verifications
+from service.calibration.verifications import Verification, VerificationRequest, Verifications
 from service.processing.measure_job import RigFile
 from service.results.fields import Verified
 
@@ -157,7 +157,7 @@ class Calibrations:
 
     # --- requests; each raises `CalibrationConflictError` where its state forbids it ---
 
-    async def start(self, plan: CalibrationPlan, acquisition: AcquisitionState) -> CalibrationRecord:
+    async def start(self, plan: CalibrationRequest, acquisition: AcquisitionState) -> CalibrationRecord:
         """Open a calibration, which collects drops."""
         async with self._writing:
             self._require_none_open(acquisition)
@@ -180,7 +180,7 @@ class Calibrations:
         log.info("calibration opened calibration=%s by=%s", record.id, plan.by)
         return record
 
-    async def verify(self, plan: VerificationPlan, acquisition: AcquisitionState) -> Verification:
+    async def verify(self, plan: VerificationRequest, acquisition: AcquisitionState) -> Verification:
         """Begin to verify the calibration in use with balls."""
         async with self._writing:
             self._require_none_open(acquisition)

@@ -7,20 +7,25 @@ without it does not count.
 import json
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import TypeAdapter
+from pydantic import PlainSerializer, TypeAdapter
 
 from drivers.files.durable import replacing, write_json
 from pipeline.calibration import BallDrop, BallView
 from pipeline.frames import CameraId
+from service.base.schema import ANSWER
 from service.calibration.files import read_document
 
 HEADER = "header.json"
 """Name of the array that is no camera's; a camera id has no dot."""
+
+
+AS_NAMES = PlainSerializer(list, return_type=list[str])
+"""Over REST a mapping from cameras is the list of their names."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,16 +38,27 @@ class SeenCircle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObservedDrop:
-    """One drop, compared with the calibration in use when it fell."""
+    """One ball or stone that was observed."""
+
+    __pydantic_config__ = ANSWER
 
     bundle: str
-    diameter_mm: float | None = None  # the requested diameter closest to its apparent size
-    views: Mapping[CameraId, SeenCircle] = field(default_factory=dict)  # views that show it whole
-    refused: Mapping[CameraId, str] = field(default_factory=dict)  # views left out, with the reason
+    """Name of the bundle of images."""
+    diameter_mm: float | None = None
+    """Requested diameter that is closest to its apparent size, mm; null: a stone, or too few views."""
+    views: Annotated[Mapping[CameraId, SeenCircle], AS_NAMES] = field(default_factory=dict)
+    """Cameras whose image shows it whole."""
+    refused: Mapping[CameraId, str] = field(default_factory=dict)
+    """Cameras left out, each with the reason."""
     center_mm: tuple[float, float, float] | None = None
+    """Centre of the ball in the frame of the rig, mm; null when it was not located."""
     residuals_px: Mapping[CameraId, float] = field(default_factory=dict)
-    vertical_minus_horizontal_mm: float | None = None  # of a ball's diameter
-    problem: str | None = None  # why nothing was observed
+    """Per camera, px, with the calibration in use when it fell: centre of the ball against its position from
+    all views; of a stone the median epipolar residual."""
+    vertical_minus_horizontal_mm: float | None = None
+    """Vertical minus horizontal diameter of a ball, mm; null: unknown, or a stone."""
+    problem: str | None = None
+    """Why nothing was observed; null otherwise."""
 
 
 def drop_without_outlines(drop: ObservedDrop) -> BallDrop:
@@ -116,7 +132,7 @@ def keep_drop(folder: Path, drop: ObservedDrop, outlines_path: Path | None) -> N
     if outlines_path is not None:
         with replacing(path) as unfinished:
             shutil.copyfile(outlines_path, unfinished)
-    write_json(path.with_suffix(".json"), TypeAdapter(ObservedDrop).dump_python(drop, mode="json"))
+    write_json(path.with_suffix(".json"), asdict(drop))
 
 
 def kept_drops(folder: Path) -> list[ObservedDrop]:

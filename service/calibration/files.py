@@ -26,6 +26,7 @@ from drivers.files.durable import new_folder, read_json, write_json
 from drivers.files.rig_file import read_rig, write_rig
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
+from service.base.schema import ANSWER, Time
 from service.calibration.states import CalibrationState
 from service.processing.measure_job import RigFile
 from service.store.history import aside_folder, explain
@@ -48,31 +49,52 @@ Document = TypeVar("Document")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationRecord:
-    """A calibration: origin, state and decisions."""
+    """One calibration. It is open until it is accepted, rejected or cancelled; an accepted one is a version."""
+
+    __pydantic_config__ = ANSWER
 
     id: str
+    """Name of the calibration in the addresses."""
     origin: Origin
+    """`configured`: from the rig file of the configuration; `session`: from drops."""
     state: CalibrationState
-    method: str  # as requested; of a configured rig, that of its file
+    """How far it is: `collecting`, `solving` and `solved` are open, the others ended."""
+    method: str
+    """`bundle`, `paper` or `stones` as requested; of a configured rig file also `nominal` or `imported`."""
     ball_diameters_mm: tuple[float, ...] = ()
-    created_at: str  # RFC 3339, as is `changed_at`
-    changed_at: str
-    by: str | None = None  # who began it
-    decided_by: str | None = None  # who accepted, rejected or cancelled it
+    """As requested, mm."""
+    created_at: Time
+    """When it was begun, RFC 3339 UTC."""
+    changed_at: Time
+    """Latest change of its state."""
+    by: str | None = None
+    """Who began it."""
+    decided_by: str | None = None
+    """Who accepted, rejected or cancelled it."""
     note: str | None = None
-    initial_calibration_id: str | None = None  # in use when it was begun; the solution starts from it
-    calibration_id: str | None = None  # of its rig; None while there is none
-    detail: str | None = None  # why it was cancelled, could not be solved, or must not be accepted
+    """Whatever was noted when it was begun; null for nothing."""
+    initial_calibration_id: str | None = None
+    """`calibration_id` in use when it was begun."""
+    calibration_id: str | None = None
+    """Checksum of its rig file, which results name; null without a rig."""
+    detail: str | None = None
+    """Why it was cancelled, could not be solved, or must not be accepted; null otherwise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Activation:
     """One activation of a calibration."""
 
+    __pydantic_config__ = ANSWER
+
     id: str
+    """`id` of the calibration."""
     calibration_id: str
-    at: str  # RFC 3339
+    """Checksum of its rig file, which results name."""
+    at: Time
+    """When it was activated, RFC 3339 UTC."""
     by: str | None = None
+    """Who activated it; null: unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

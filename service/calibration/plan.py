@@ -2,9 +2,16 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field
+
+from service.base.schema import REQUEST, Name, Remark
 
 BALL_DIAMETERS_MM = (1.0, 45.0)
 """Range of diameters that the cameras resolve and that fit into their images."""
+# strict: `true` is no number; a whole number is one of millimetres all the same
+DiameterMm = Annotated[float, Field(ge=BALL_DIAMETERS_MM[0], le=BALL_DIAMETERS_MM[1], strict=True)]
 MIN_SIZE_RATIO = 1.2
 """Least ratio of two diameters: balls closer in size cannot be told apart before the rig is calibrated."""
 
@@ -21,13 +28,21 @@ class Method(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationPlan:
-    """What to calibrate with: one ball, two balls of different size, or any stones."""
+class CalibrationRequest:
+    """Request for a calibration. Everything that falls from now on is observed."""
 
-    ball_diameters_mm: tuple[float, ...] = ()
+    __pydantic_config__ = REQUEST
+
+    ball_diameters_mm: Annotated[tuple[DiameterMm, ...], Field(max_length=2)] = ()
+    """Diameter of the ball, mm. Two diameters that differ by a fifth or more also reveal outlines that are
+    too large or too small. Empty with `stones`."""
     method: Method = Method.BUNDLE
-    note: str | None = None
-    by: str | None = None
+    """`bundle`: bundle adjustment of all cameras and balls; `paper`: Algorithm 1 of the paper; `stones`: new
+    poses for cameras that moved, from any stones, without a ball."""
+    note: Remark | None = None
+    """Kept with it."""
+    by: Name | None = None
+    """Who calibrates."""
 
     def __post_init__(self) -> None:
         n_needed = (0,) if self.method is Method.STONES else (1, 2)

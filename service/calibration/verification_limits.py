@@ -7,6 +7,8 @@ vertical against the horizontal diameter, which differ when a ball moves too far
 from dataclasses import dataclass
 from statistics import fmean, stdev
 
+from service.base.schema import ANSWER
+
 MAX_SIZE_RATIO = 1.1
 """Of measured and stated diameter; what differs more is something else, however badly the rig is calibrated."""
 
@@ -15,29 +17,46 @@ MAX_SIZE_RATIO = 1.1
 class VerifiedBall:
     """One ball of a verification."""
 
+    __pydantic_config__ = ANSWER
+
     bundle: str
-    equivalent_diameter_mm: float | None  # None: rejected or refused, see `detail`
+    """Name of the bundle of images."""
+    equivalent_diameter_mm: float | None
+    """Diameter of the sphere of equal volume, mm; null when rejected, or far from the stated one."""
     vertical_minus_horizontal_mm: float | None
+    """Vertical minus horizontal diameter, mm; null: unknown."""
     detail: str | None = None
+    """Why it does not count; null when it does."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """Averages over the measured balls."""
+    """Averages over the balls measured so far; the limits are those of `[verification]` in the configuration."""
 
-    error_mm: float  # mean of the equivalent diameters minus the true one
+    __pydantic_config__ = ANSWER
+
+    error_mm: float
+    """Mean of the equivalent diameters minus the true one, mm; default limit 0.10 either way."""
     sd_mm: float
+    """Standard deviation of the equivalent diameters, mm; default limit 0.05."""
     vertical_minus_horizontal_mm: float | None
+    """Mean of vertical minus horizontal diameter, mm; default limit 0.05 either way."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerificationParameters:
     """Interval and limits of verifications; 0.1 mm of 15 mm are 2 % of a stone's volume."""
 
-    every_h: float = 0.0  # a verification is overdue this long after the latest; 0: never
-    error_mm: float = 0.10  # limit of the mean equivalent diameter minus the true one
+    __pydantic_config__ = ANSWER
+
+    every_h: float = 0.0
+    """A verification is overdue so long after the latest, hours; 0: never."""
+    error_mm: float = 0.10
+    """Limit of the mean error, either way, mm."""
     sd_mm: float = 0.05
-    vertical_minus_horizontal_mm: float = 0.05  # 20 us of exposure
+    """Limit of the standard deviation, mm."""
+    vertical_minus_horizontal_mm: float = 0.05
+    """Limit of vertical minus horizontal diameter, either way, mm."""
 
     def __post_init__(self) -> None:
         for name, low, high in (

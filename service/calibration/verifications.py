@@ -11,18 +11,19 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import TypeAdapter
+from pydantic import Field, TypeAdapter, computed_field
 
 from drivers.errors import RecordingError
 from drivers.files.durable import write_json
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
+from service.base.schema import ANSWER, REQUEST, Name, Remark, Time
 from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.files import CALIBRATION_NAME, read_document
-from service.calibration.plan import BALL_DIAMETERS_MM
+from service.calibration.plan import DiameterMm
 from service.calibration.verification_limits import (
     Summary,
     VerificationParameters,
@@ -51,25 +52,39 @@ class VerificationState(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verification:
-    """A verification, its balls so far, and its verdict."""
+    """A verification: its balls, and its verdict once they are complete."""
+
+    __pydantic_config__ = ANSWER
 
     id: str
+    """Name of the verification in the addresses."""
     state: VerificationState
+    """How far it is, or its verdict."""
     diameter_mm: float
-    count: int  # balls to measure
+    """Diameter of the ball as requested, mm."""
+    count: int
+    """Number of drops to measure; rejected ones and those of another size do not count."""
     calibration_id: str
-    created_at: str  # RFC 3339, as is `changed_at`
-    changed_at: str
+    """`calibration_id` of the calibration that is verified."""
+    created_at: Time
+    """When it was begun, RFC 3339 UTC."""
+    changed_at: Time
+    """The latest ball, or the end."""
     by: str | None = None
+    """Who verifies; null: unknown."""
     note: str | None = None
+    """As it was given."""
     balls: tuple[VerifiedBall, ...] = ()
-    problems: tuple[str, ...] = ()  # why it failed or was cancelled
+    """In the order in which they fell."""
+    problems: tuple[str, ...] = ()
+    """Why it failed or was cancelled, with the remedy."""
 
     @property
     def measured(self) -> tuple[VerifiedBall, ...]:
         """Return the balls that count: neither rejected nor refused."""
         return tuple(ball for ball in self.balls if ball.equivalent_diameter_mm is not None)
 
+    @computed_field(description="Null before the first ball")  # type: ignore[prop-decorator]  # pydantic asks for this order
     @property
     def summary(self) -> Summary | None:
         """Return the averages, None before the first ball."""
@@ -77,20 +92,19 @@ class Verification:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VerificationPlan:
-    """The request for a verification."""
+class VerificationRequest:
+    """Request for a verification with the next balls."""
 
-    diameter_mm: float = 15.0
-    count: int = 5
-    note: str | None = None
-    by: str | None = None
+    __pydantic_config__ = REQUEST
 
-    def __post_init__(self) -> None:
-        low_mm, high_mm = BALL_DIAMETERS_MM
-        if not low_mm <= self.diameter_mm <= high_mm:
-            raise ValueError(f"diameter_mm must be in {low_mm:g}..{high_mm:g}, not {self.diameter_mm:g}")
-        if not 2 <= self.count <= 100:
-            raise ValueError(f"count must be in 2..100, not {self.count}")
+    diameter_mm: DiameterMm = 15.0
+    """Diameter of the ball, mm."""
+    count: Annotated[int, Field(ge=2, le=100, strict=True)] = 5
+    """Number of drops to measure."""
+    note: Remark | None = None
+    """Whatever is to be kept with it."""
+    by: Name | None = None
+    """Who verifies."""
 
 
 def open_verifications(
@@ -210,7 +224,7 @@ class Verifications:
             and each.diameter_mm == diameter_mm
         ]
 
-    async def start(self, plan: VerificationPlan, calibration_id: str) -> Verification:
+    async def start(self, plan: VerificationRequest, calibration_id: str) -> Verification:
         """Open a verification; the caller makes sure that neither another one nor a calibration is open."""
         name = f"{max(map(int, self._known), default=0) + 1:04d}"
         verification = Verification(

@@ -8,6 +8,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from service.base.schema import ANSWER, Time
 from service.delivery.progress import Progress, enabled, replayed
 from service.store import audit
 from service.store.events import EventType, event_ends
@@ -30,17 +31,27 @@ class EventCursorError(ValueError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Delivery:
+class Attempt:
     """One attempt to tell an endpoint of something."""
 
-    at: str
+    __pydantic_config__ = ANSWER
+
+    at: Time
+    """When it was begun, RFC 3339 UTC."""
     webhook_id: str
+    """The same on every attempt to tell of an event."""
     type: str
-    event: int | None  # None: a test
-    attempt: int  # 1: the first
+    """Of the event, or `webhook.test`."""
+    event: int | None
+    """`seq` of the event; null for a test."""
+    attempt: int
+    """1: the first."""
     status: int | None
-    problem: str | None  # None: it was taken
+    """Of the answer; null if there was none."""
+    problem: str | None
+    """Why the message was not taken; null if it was."""
     duration_ms: int
+    """From its begin to the answer, ms."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +104,7 @@ def n_due(connection: sqlite3.Connection, after: int, types: Sequence[EventType]
 
 
 def note(
-    connection: sqlite3.Connection, name: str, delivery: Delivery, before: Progress, after: Progress
+    connection: sqlite3.Connection, name: str, delivery: Attempt, before: Progress, after: Progress
 ) -> Progress:
     """Note an attempt and what follows from it; return how far the endpoint is.
 
@@ -108,19 +119,19 @@ def note(
         return after
 
 
-def note_trial(connection: sqlite3.Connection, name: str, delivery: Delivery, who: str) -> None:
+def note_trial(connection: sqlite3.Connection, name: str, delivery: Attempt, who: str) -> None:
     """Note an attempt that tells of nothing, and who asked for it."""
     with transaction(connection):
         _add(connection, name, delivery)
         audit.note(connection, who, "webhook tested", name, after=asdict(delivery))
 
 
-def deliveries(connection: sqlite3.Connection, name: str, limit: int) -> list[Delivery]:
+def deliveries(connection: sqlite3.Connection, name: str, limit: int) -> list[Attempt]:
     """Return the newest attempts of an endpoint, newest first."""
     rows = connection.execute(
         "SELECT document FROM webhook_deliveries WHERE name = ? ORDER BY delivery DESC LIMIT ?", (name, limit)
     )
-    return [Delivery(**json.loads(document)) for (document,) in rows]
+    return [Attempt(**json.loads(document)) for (document,) in rows]
 
 
 def enable(connection: sqlite3.Connection, name: str, who: str) -> Progress:
@@ -140,7 +151,7 @@ def replay(connection: sqlite3.Connection, name: str, after: int, who: str) -> P
         return _change(connection, name, who, "webhook replayed", before, replayed(before, after))
 
 
-def _add(connection: sqlite3.Connection, name: str, delivery: Delivery) -> None:
+def _add(connection: sqlite3.Connection, name: str, delivery: Attempt) -> None:
     connection.execute(
         "INSERT INTO webhook_deliveries (name, document) VALUES (?, ?)", (name, json.dumps(asdict(delivery)))
     )

@@ -17,7 +17,7 @@ from service.delivery.posting import post
 from service.delivery.progress import Answer, Progress, next_progress
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 from service.delivery.signatures import signatures
-from service.delivery.table import Delivery
+from service.delivery.table import Attempt
 from service.store import Store
 
 log = logging.getLogger(__name__)
@@ -157,7 +157,7 @@ class Webhooks:
         await self._store.write(table.replay, name, after, who)
         self._wake(name)
 
-    async def test(self, name: str, who: str) -> Delivery:
+    async def test(self, name: str, who: str) -> Attempt:
         """Send a message that tells of nothing, once and whether the endpoint is disabled or not.
 
         Raises
@@ -224,7 +224,7 @@ class Webhooks:
 
     async def _send(
         self, endpoint: WebhookEndpoint, told: _Told, message: Message, attempt: int
-    ) -> tuple[Answer, Delivery]:
+    ) -> tuple[Answer, Attempt]:
         now = self._now()
         try:
             headers = await asyncio.to_thread(_signed, endpoint, message, int(now.timestamp()))
@@ -233,7 +233,7 @@ class Webhooks:
             answer = Answer(problem=str(err))
         else:
             answer = await post(endpoint, self._settings, message.body, headers, tls)
-        delivery = Delivery(
+        delivery = Attempt(
             at=rfc3339(now),
             webhook_id=message.id,
             type=message.type,

@@ -4,14 +4,20 @@ import json
 import sqlite3
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field
 
 from drivers.files.times import utc_now
 from service.base.errors import ServiceError
+from service.base.ids import NEW_ID
+from service.base.schema import REQUEST, Name, Remark
 from service.lots.products import find_product
 from service.store import audit
 from service.store.events import EventType, NewEvent, note_event
 from service.store.schema import transaction
 
+Tonnage = Annotated[float, Field(ge=0, le=1e6)]
 MOST_RUNS = 1000
 """Lots of one sample that are looked at, the newest."""
 
@@ -28,13 +34,22 @@ class LotState(StrEnum):
 class LotDefinition:
     """What the plant says of a lot; all but the first is optional."""
 
-    lot: str
-    equipment: str | None = None
-    sublot: str | None = None
-    sample_id: str | None = None
-    sampler: str | None = None
-    tonnage_t: float | None = None
-    remark: str | None = None
+    __pydantic_config__ = REQUEST
+
+    lot: Annotated[str, Field(pattern=NEW_ID)]
+    """Material lot."""
+    equipment: Name | None = None
+    """The crusher or belt that it comes from."""
+    sublot: Name | None = None
+    """Material sublot, ISA-95."""
+    sample_id: Name | None = None
+    """Id of the laboratory sample; lots with the same one are compared by `/repeatability`."""
+    sampler: Name | None = None
+    """Who took the sample."""
+    tonnage_t: Tonnage | None = None
+    """Of the whole lot, t."""
+    remark: Remark | None = None
+    """Whatever else the plant says of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

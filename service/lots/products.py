@@ -3,40 +3,73 @@
 import json
 import sqlite3
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import asdict, dataclass, field, fields
+from typing import Annotated, Any
+
+from pydantic import Field
+from typing_extensions import TypeAliasType
 
 from drivers.files.times import utc_now
 from service.base.errors import TooManyError
+from service.base.schema import REQUEST, Name
 from service.store import audit
 from service.store.schema import transaction
 
 MAX_PRODUCTS = 1000
 """Most products: they are one list, without pages."""
+ApertureMm = Annotated[float, Field(gt=0, le=1000)]
+ApertureName = Annotated[str, Field(pattern=r"^[0-9]{1,3}(\.[0-9]{1,4})?$")]
+"""An aperture in mm, as JSON has keys."""
+OWN_SIEVES = "Sieves of the site's own by their apertures, mm"
+Apertures = TypeAliasType(
+    "Apertures",
+    Annotated[tuple[ApertureMm, ...], Field(min_length=1, max_length=100, description=OWN_SIEVES)],
+)
+Percent = Annotated[float, Field(ge=0, le=100)]
+PercentRange = tuple[Percent, Percent]
+"""Least and greatest percent, both allowed."""
+EN_BASIC = "en-basic-2"
+"""Not in the schema, as generators write a default of this type as a name, not a text."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OwnLimits:
-    """A specification of the site's own: percent passing by aperture, flakiness and shape index, each from .. to."""
+class OwnSpecification:
+    """Limits of the site's own."""
 
-    name: str
-    passing: Mapping[str, tuple[float, float]]  # by aperture in mm, as JSON has keys
-    flakiness: tuple[float, float] | None = None
-    shape: tuple[float, float] | None = None
+    __pydantic_config__ = REQUEST
+
+    name: Name
+    """Name of the specification, printed on reports."""
+    passing: Annotated[Mapping[ApertureName, PercentRange], Field(max_length=100)]
+    """Percent passing by mass, by aperture in mm."""
+    flakiness: PercentRange | None = None
+    """Flakiness index, EN 933-3."""
+    shape: PercentRange | None = None
+    """Shape index, EN 933-4."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProductDefinition:
-    """What a product is; ISA-95 calls it a material definition."""
+    """What a product is; what is absent is not known."""
 
-    title: str
-    density_kg_m3: float  # of the particles, EN 1097-6
-    lower_mm: float | None = None  # d of d/D
-    upper_mm: float | None = None  # D of d/D
-    sieve_set: str | tuple[float, ...] = "en-basic-2"  # name of a set, or apertures in mm
-    specification: str | OwnLimits | None = None  # name of a category or size, or the site's own
-    flakiness_category: str | None = None  # FI20
-    shape_category: str | None = None  # SI20
+    __pydantic_config__ = REQUEST
+
+    title: Name
+    """Name of the product for people, such as `8/16 basalt`."""
+    density_kg_m3: Annotated[float, Field(gt=0, le=20_000)]
+    """Of the particles, EN 1097-6, kg/m³."""
+    lower_mm: ApertureMm | None = None
+    """d of a product d/D, mm."""
+    upper_mm: ApertureMm | None = None
+    """D of it, mm."""
+    sieve_set: Name | Apertures = field(default_factory=lambda: EN_BASIC)
+    """Name of a set, see `/products/standards`; or apertures, mm. `en-basic-2` when absent."""
+    specification: Name | OwnSpecification | None = None
+    """Name of a category or size, see `/products/standards`; or limits of your own."""
+    flakiness_category: Name | None = None
+    """Such as `FI20`."""
+    shape_category: Name | None = None
+    """Such as `SI20`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,5 +156,5 @@ def definition_of(document: Mapping[str, Any]) -> ProductDefinition:
     if isinstance(own, Mapping):
         limits = {name: tuple(value) for name, value in own["passing"].items()}
         pairs = {name: own[name] and tuple(own[name]) for name in ("flakiness", "shape")}
-        given["specification"] = OwnLimits(name=own["name"], passing=limits, **pairs)
+        given["specification"] = OwnSpecification(name=own["name"], passing=limits, **pairs)
     return ProductDefinition(**given)

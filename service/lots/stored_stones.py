@@ -11,6 +11,7 @@ from typing import Any
 from pipeline.frames import BundleKind
 from pipeline.gradation.stones import Fate, Stone, UnmeasuredStone
 from service.base.errors import ServiceError
+from service.base.schema import ANSWER, Time
 from service.lots.stones import stone_of
 from service.results.refinement import why_not_refined
 
@@ -56,16 +57,25 @@ class Stones:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BehindStep:
-    """A stone between two neighbouring sieves."""
+class StoneBehindStep:
+    """A stone between two neighbouring sieves of the curve."""
+
+    __pydantic_config__ = ANSWER
 
     seq: int
+    """`seq` of the result."""
     id: str
-    captured_at: str
+    """`id` of the result."""
+    captured_at: Time
+    """When the stone was exposed, RFC 3339 UTC."""
     quality: str
+    """How far from the truth the result may be: `good`, `reduced` or `degraded`."""
     sieve_size_mm: float
+    """Smallest square aperture the body passes (EN 933-2 square holes), mm."""
     volume_mm3: float
-    influence_percent: float  # share of the lot's mass: the curve would change by as much without it
+    """Corrected volume, mm³."""
+    influence_percent: float
+    """Its share of the lot's mass."""
 
 
 def stones_of_lot(connection: sqlite3.Connection, lot: str, choice: Choice = ALL_STONES) -> Stones:
@@ -104,7 +114,7 @@ def stones_between(connection: sqlite3.Connection, since: str, until: str) -> St
 
 def stones_behind(
     connection: sqlite3.Connection, lot: str, above_mm: float, up_to_mm: float, limit: int
-) -> list[BehindStep]:
+) -> list[StoneBehindStep]:
     """Return the stones of a lot that pass one sieve and not the next smaller one, the heaviest first."""
     (total_mm3,) = connection.execute(
         "SELECT total(volume_mm3) FROM stones WHERE lot = ? AND outcome = 'measured'", (lot,)
@@ -116,7 +126,7 @@ def stones_behind(
         (lot, above_mm, up_to_mm, limit),
     )
     return [
-        BehindStep(
+        StoneBehindStep(
             seq=seq,
             id=name,
             captured_at=captured_at,

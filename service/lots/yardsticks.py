@@ -7,7 +7,7 @@ from functools import cache
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange, SieveSet
 from pipeline.gradation.specification import Limits, Specification, specification_of
 from service.base.errors import ServiceError
-from service.lots.products import OwnLimits, ProductDefinition
+from service.lots.products import OwnSpecification, ProductDefinition
 from service.lots.standards import Standards, read_standards
 
 DEFAULT_SET = "stonefall"
@@ -81,7 +81,7 @@ def _specification(
     wanted = name or (definition.specification if definition else None)
     flakiness = _index("flakiness_category", definition, standards().flakiness)
     shape = _index("shape_category", definition, standards().shape)
-    if isinstance(wanted, OwnLimits):
+    if isinstance(wanted, OwnSpecification):
         passing = {float(aperture): _limits(pair) for aperture, pair in wanted.passing.items()}
         return Specification(
             name=wanted.name,

@@ -10,7 +10,8 @@ from drivers.files.durable import read_json, sync
 from drivers.files.recording import UNKNOWN_UTC
 from service.recording.live_recording import RecordingState, RecordingStatus
 
-RECORDING_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
+NAME = r"^[A-Za-z0-9_-]{1,64}$"
+RECORDING_NAME = re.compile(NAME.strip("^$"))
 """Pattern of the name of a recording, which is the name of a folder and part of a URL."""
 
 

@@ -23,6 +23,7 @@ from drivers.files.times import utc_now
 from pipeline.fall import Fall
 from pipeline.frames import BundleKind, CameraId, FrameBundle
 from pipeline.rig.cameras import RigCalibration
+from service.base.schema import ANSWER, Time
 
 MAX_WAITING = 16
 """Most bundles that wait for the disk: four seconds at four stones a second, 340 MB with 16 cameras."""
@@ -59,17 +60,30 @@ class RecordingState(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingStatus:
-    """State and extent of a recording at one moment."""
+    """State of a recording. A `complete` one can be replayed and measured, a `failed` one left no usable files."""
+
+    __pydantic_config__ = ANSWER
 
     name: str
+    """Name of its folder, and in the addresses."""
     state: RecordingState
-    created_at: str  # RFC 3339
-    bundles: int  # in it so far, exposures of the empty rig included
+    """`recording`: under way; `complete`: usable; `failed`: no usable files."""
+    created_at: Time
+    """RFC 3339 UTC."""
+    bundles: int
+    """Bundles written so far, exposures of the empty rig included."""
     bytes: int
-    stones: int | None = None  # of the bundles; None once it is not under way
+    """Size of the bundles on disk."""
+    stones: int | None = None
+    """Stones and balls among the bundles so far, those before it began included; null unless it is under way.
+    """
     ended_by: str | None = None
-    reason: str | None = None  # why it failed
-    made_by: Mapping[str, Any] = field(default_factory=dict)  # as in recording.json
+    """Why it ended: `count`, `duration` or `stop` as requested; `low_disk` or `slow_disk`: earlier than
+    requested; null while it runs."""
+    reason: str | None = None
+    """Why it failed, in words; null unless `failed`."""
+    made_by: Mapping[str, Any] = field(default_factory=dict)
+    """How it was made, as in recording.json."""
 
     @property
     def is_cut_short(self) -> bool:

@@ -12,14 +12,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from drivers.files.bundle_file import Compression
 from pipeline.frames import BundleKind, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.base.errors import ServiceError
+from service.base.schema import REQUEST
 from service.recording.kept_recordings import (
-    RECORDING_NAME,
+    NAME,
     recording_in,
     recordings_in,
     remove_recording,
@@ -61,23 +64,23 @@ class RecordingsSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecordingPlan:
-    """What to record; without `count` and `duration_s`, until the recording is stopped."""
+class RecordingRequest:
+    """Request for a recording. It ends when `count` or `duration_s` is reached, whichever comes first."""
 
-    name: str
-    count: int | None = None  # stones from now on
-    duration_s: float | None = None
-    pre_trigger: int = 0  # stones before now, as far as they are in memory
+    __pydantic_config__ = REQUEST
+
+    name: Annotated[str, Field(pattern=NAME)]
+    """Name of its folder; must be new."""
+    count: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] | None = None
+    """Number of stones to record from now on."""
+    duration_s: Annotated[float, Field(gt=0, le=86_400, strict=True)] | None = None
+    """Seconds to record from now on."""
+    pre_trigger: Annotated[int, Field(ge=0, le=1000, strict=True)] = 0
+    """Number of stones before now to record as well, as far as their frames are kept."""
 
     def __post_init__(self) -> None:
-        if not RECORDING_NAME.fullmatch(self.name):
-            raise ValueError(f"name must be 1..64 letters, digits, '-' and '_', not {self.name!r}")
-        if self.count is not None and self.count < 1:
-            raise ValueError(f"count must be at least 1, not {self.count}")
-        if self.duration_s is not None and not 0 < self.duration_s <= 86_400:
-            raise ValueError(f"duration_s must be in 0..86400, not {self.duration_s:g}")
-        if self.pre_trigger < 0:
-            raise ValueError(f"pre_trigger must not be negative, not {self.pre_trigger}")
+        if self.count is None and self.duration_s is None:
+            raise ValueError("give count, duration_s or both: a recording must end")
 
 
 class Refusal(StrEnum):
@@ -170,7 +173,7 @@ class Recordings:
         if self._live is not None:
             self._live.offer(bundle)
 
-    async def start(self, plan: RecordingPlan) -> RecordingStatus:
+    async def start(self, plan: RecordingRequest) -> RecordingStatus:
         """Begin a recording.
 
         Raises
@@ -255,7 +258,7 @@ class Recordings:
         if self._live is not None:
             await _end(self._live)
 
-    def _require_name_and_room(self, path: Path, plan: RecordingPlan) -> None:
+    def _require_name_and_room(self, path: Path, plan: RecordingRequest) -> None:
         if path.exists():
             raise RecordingRefusedError(
                 Refusal.EXISTS, f"there is a recording {path.name} already: choose another name"

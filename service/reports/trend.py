@@ -10,7 +10,8 @@ from math import floor, log10
 from pipeline.gradation.estimates import State
 from service.base.language import Language
 from service.lots.figures import Figure
-from service.lots.trends.trend import DiaryDocument, Trend, TrendBucket
+from service.lots.trends.diary import DiaryEntry
+from service.lots.trends.trend import Trend, TrendBucket
 from service.reports.drawing import (
     LABEL_SIZE,
     Anchor,
@@ -228,7 +229,7 @@ def _mark(x: float, y: float) -> Area:
     return Area(((x - 4, y - 6), (x + 4, y - 6), (x, y + 1)), Style.MARK)
 
 
-def entry_name(entry: DiaryDocument, say: Words) -> str:
+def entry_name(entry: DiaryEntry, say: Words) -> str:
     """Return what is at the mark of an entry: "gap 25 mm"."""
     kind = say.known("diary_kind", entry.kind)
     if entry.value is None:

@@ -19,6 +19,7 @@ from typing import Any
 
 from drivers.files.times import utc_now
 from service.base.redaction import redacted
+from service.base.schema import ANSWER, Time
 
 CONFIGURATION = "configuration"
 """Action of the entries about the file of settings, whose URLs earlier versions kept to the end."""
@@ -37,16 +38,27 @@ FORMULA_STARTS = ("=", "+", "-", "@")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AuditEntry:
-    """One change."""
+    """One change; never edited."""
+
+    __pydantic_config__ = ANSWER
 
     entry: int
-    at: str
+    """Number of the entry, in the order of the changes."""
+    at: Time
+    """When it was changed, RFC 3339 UTC."""
     who: str
+    """Name of the key, or `this machine` while there is none."""
     action: str
+    """Such as `lot opened`, `calibration activated`, `acquisition disarmed`."""
     subject: str
+    """What was changed, such as the id of a lot."""
     before: Mapping[str, Any] | None
+    """What it was before; null when there was nothing."""
     after: Mapping[str, Any] | None
-    digest: str | None  # None: of an earlier version
+    """What it is since; null when there is nothing."""
+    digest: str | None
+    """SHA-256 of the digest before and of this entry, which makes the entries a chain; null in those of
+    earlier versions."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from enum import StrEnum
 from typing import Any
 
 from drivers.files.times import utc_now
+from service.base.schema import ANSWER, Time
 
 NEW_HISTORY_STEP = 1_000_000
 """By which numbers go on in a history that begins anew: more events than a backup can lack."""
@@ -42,10 +43,16 @@ class EventType(StrEnum):
 class NewEvent:
     """An event that has no number yet."""
 
+    __pydantic_config__ = ANSWER
+
     type: EventType
+    """What happened; later versions have more types."""
     subject: str
+    """To what: a lot, the check of an alarm, a calibration, a verification."""
     data: Mapping[str, Any] = field(default_factory=dict)
-    at: str = field(default_factory=utc_now)
+    """More of it, by type."""
+    at: Time = field(default_factory=utc_now)
+    """When it happened, RFC 3339 UTC."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

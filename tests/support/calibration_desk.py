@@ -17,7 +17,7 @@ from service.calibration.calibrations import Calibrations
 from service.calibration.drop_files import ObservedDrop, SeenCircle
 from service.calibration.drop_jobs import Solution, SolveJob
 from service.calibration.files import Activation
-from service.calibration.plan import CalibrationPlan
+from service.calibration.plan import CalibrationRequest
 from service.calibration.startup import load_calibrations
 from service.calibration.states import CalibrationAction, CalibrationState
 from service.calibration.verification_limits import VerificationParameters
@@ -25,7 +25,7 @@ from service.calibration.verifications import open_verifications
 
 CONFIGURED = small_rig()
 ARMED = AcquisitionState.ARMED
-BALL = CalibrationPlan(ball_diameters_mm=(10.0,), by="an engineer")
+BALL = CalibrationRequest(ball_diameters_mm=(10.0,), by="an engineer")
 
 
 def other_rig(name: str = "another") -> RigCalibration:

@@ -1,6 +1,6 @@
 """Alarms: what needs somebody now, with what to do; acknowledged and shelved by people."""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query
@@ -12,10 +12,10 @@ from service.api.feeds import MAX_SEQ
 from service.api.problems import existing, problem_responses
 from service.api.settings import Scope
 from service.base.language import Language
-from service.base.schema import TIME
-from service.health.alarms.alarm import Alarm, AlarmState
+from service.base.schema import adds_to
+from service.health.alarms.alarm import Alarm
 from service.health.alarms.machine import MAX_SHELVED_S
-from service.health.alarms.rules import Priority, Rule, Rules
+from service.health.alarms.rules import Rule, Rules
 from service.health.alarms.table import history
 
 router = APIRouter(prefix="/alarms", tags=["alarms"])
@@ -27,36 +27,16 @@ OPERABLE = [Depends(require(Scope.OPERATE))]
 MAX_SHELVED_MINUTES = MAX_SHELVED_S / 60
 
 
-class AlarmDocument(BaseModel):
-    """An alarm, from its first rise to its end."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmDocument(Alarm):
+    """An alarm, from its first rise to its end, with what it means and what to do."""
 
-    id: int = Field(description="Number of the alarm, in the order in which they were raised")
-    check: str = Field(
-        description="The check of `/health` that does not pass, such as `gate` or `camera:c01`"
-    )
-    state: AlarmState = Field(
-        description="In the words of ISA-18.2; returned: its cause is gone, and nobody has acknowledged it"
-    )
-    priority: Priority = Field(description="The highest since it was raised")
-    detail: str | None = Field(description="What the check says")
-    cause: str = Field(description="What the alarm means")
-    action: str = Field(description="What to do")
-    raised_at: str = Field(description="When it was first raised, RFC 3339 UTC", json_schema_extra=TIME)
-    changed_at: str = Field(description="When its state or priority last changed", json_schema_extra=TIME)
-    occurrences: int = Field(
-        description="How often its cause came back before somebody acknowledged it, and 1"
-    )
-    cleared_at: str | None = Field(json_schema_extra=TIME, description="When its cause was last gone")
-    acknowledged_at: str | None = Field(
-        json_schema_extra=TIME, description="When somebody took note; null while nobody has"
-    )
-    acknowledged_by: str | None = Field(description="Name of the key that took note")
-    shelved_until: str | None = Field(
-        json_schema_extra=TIME, description="When it comes back; null while it is not shelved"
-    )
-    shelved_by: str | None = Field(description="Name of the key that put it aside")
-    shelf_reason: str | None = Field(description="Why it was put aside")
-    ended_at: str | None = Field(json_schema_extra=TIME, description="When it ended; null while it has not")
+    __pydantic_config__ = adds_to(Alarm)
+
+    cause: str
+    """What the alarm means."""
+    action: str
+    """What to do."""
 
 
 class AlarmsDocument(BaseModel):

@@ -1,8 +1,7 @@
 """Who changed what."""
 
 from collections.abc import AsyncIterator
-from dataclasses import asdict
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query
 from fastapi.responses import StreamingResponse
@@ -11,9 +10,8 @@ from pydantic import BaseModel, Field
 from service.api.context import ApiContext, Context
 from service.api.feeds import MAX_SEQ
 from service.api.problems import problem_responses
-from service.base.schema import TIME
 from service.store import read
-from service.store.audit import csv_page, entries
+from service.store.audit import AuditEntry, csv_page, entries
 
 router = APIRouter(tags=["audit"])
 
@@ -24,37 +22,21 @@ Subject = Annotated[str | None, Query(max_length=64, description="Only changes o
 After = Annotated[int, Query(ge=0, le=MAX_SEQ, description="`entry` of the last one that is known")]
 
 
-class AuditEntryDocument(BaseModel):
-    """One change; never edited."""
-
-    entry: int = Field(description="Number of the entry, in the order of the changes")
-    at: str = Field(description="When it was changed, RFC 3339 UTC", json_schema_extra=TIME)
-    who: str = Field(description="Name of the key, or `this machine` while there is none")
-    action: str = Field(description="Such as `lot opened`, `calibration activated`, `acquisition disarmed`")
-    subject: str = Field(description="What was changed, such as the id of a lot")
-    before: dict[str, Any] | None = Field(description="What it was before; null when there was nothing")
-    after: dict[str, Any] | None = Field(description="What it is since; null when there is nothing")
-    digest: str | None = Field(
-        description="SHA-256 of the digest before and of this entry, which makes the entries a chain; null in those of"
-        " earlier versions"
-    )
-
-
 class AuditPage(BaseModel):
     """Entries in their order."""
 
-    items: list[AuditEntryDocument] = Field(description="By rising `entry`")
+    items: list[AuditEntry] = Field(description="By rising `entry`")
 
 
-@router.get("/audit", response_model=AuditPage, responses=problem_responses())
+@router.get("/audit", responses=problem_responses())
 async def audit(
     context: Context,
     subject: Subject = None,
     after: After = 0,
     limit: Annotated[int, Query(ge=1, le=1000, description="Entries of a page, at most")] = 100,
-) -> dict[str, Any]:
+) -> AuditPage:
     """Return who changed what, oldest first. Every write over REST is in here, but for the cursors of consumers."""
-    return {"items": [asdict(each) for each in await context.store.read(entries, subject, after, limit)]}
+    return AuditPage(items=await context.store.read(entries, subject, after, limit))
 
 
 @router.get(

@@ -12,16 +12,14 @@ from service.api.context import ApiContext, Context
 from service.api.problems import Problem, existing, problem_responses
 from service.api.routes.calibration_schemas import (
     CalibrationDocument,
-    CalibrationRequest,
     Calibrations,
     CalibrationSummary,
     Signature,
 )
 from service.api.settings import Scope
 from service.api.version import BASE
-from service.calibration.details import CalibrationDetails
 from service.calibration.files import CalibrationRecord
-from service.calibration.plan import CalibrationPlan
+from service.calibration.plan import CalibrationRequest
 from service.calibration.states import CalibrationAction
 
 router = APIRouter(prefix="/calibrations", tags=["calibrations"])
@@ -40,39 +38,36 @@ CalibrationName = Annotated[str, Path(pattern=r"^[0-9]{4,9}$", description="`id`
 
 @router.get(
     "",
-    response_model=Calibrations,
     dependencies=[Depends(require(Scope.READ))],
     responses=problem_responses(),
 )
-async def calibrations(context: Context) -> dict[str, Any]:
+async def calibrations(context: Context) -> Calibrations:
     """Return all calibrations, newest first, and which one is in use."""
     known = context.control.calibrations
-    return {
-        "active": asdict(known.activated),
-        "items": [_summary(context, record) for record in known.all()],
-        "activations": [asdict(each) for each in known.activations],
-    }
+    return Calibrations(
+        active=known.activated,
+        items=[_summary(context, record) for record in known.all()],
+        activations=list(known.activations),
+    )
 
 
 @router.post(
     "",
     status_code=201,
-    response_model=CalibrationSummary,
     dependencies=[Depends(require(Scope.OPERATE))],
     responses=problem_responses(409),
 )
 async def start_calibration(
     context: Context, wanted: CalibrationRequest, response: Response, asking: Who
-) -> dict[str, Any]:
+) -> CalibrationSummary:
     """Open a calibration, which collects drops. 409 while another calibration or verification is open.
 
     409 also when the rig cannot see drops (`held`, `disarming`, `stopping`). On live cameras everything that falls has
     the kind `ball` while a calibration is open, except with method `stones`: it is measured, but does not count as a
     stone. `accept`, `reject`, `cancel`, or ten minutes without a drop end it.
     """
-    plan = _valid_plan(wanted)
     control = context.control
-    record = await control.calibrations.start(plan, control.acquisition_status().state)
+    record = await control.calibrations.start(wanted, control.acquisition_status().state)
     await context.store.note_change(asking, "calibration opened", record.id, after=asdict(record))
     response.headers["Location"] = f"{BASE}/calibrations/{record.id}"
     return _summary(context, record)
@@ -80,14 +75,19 @@ async def start_calibration(
 
 @router.get(
     "/{calibration}",
-    response_model=CalibrationDocument,
     dependencies=[Depends(require(Scope.READ))],
     responses=problem_responses(404),
 )
-async def calibration(context: Context, calibration: CalibrationName) -> dict[str, Any]:
+async def calibration(context: Context, calibration: CalibrationName) -> CalibrationDocument:
     """Return one calibration: its drops, their coverage and residuals, and its report."""
-    details = await context.control.calibrations.find(calibration)
-    return _document(context, existing(details, "calibration", calibration))
+    details = existing(await context.control.calibrations.find(calibration), "calibration", calibration)
+    return CalibrationDocument(
+        **asdict(_summary(context, details.record)),
+        drops=details.drops,
+        coverage=details.coverage,
+        residuals_before_px=details.residuals_px,
+        report=None if details.report is None else _without_rig(details.report),
+    )
 
 
 @router.get(
@@ -112,13 +112,12 @@ def _add_action(action: CalibrationAction, scope: Scope, text: str, status: int 
         name=f"{action}_calibration",
         description=text,
         status_code=status,
-        response_model=CalibrationSummary,
         dependencies=[Depends(require(scope))],
         responses=problem_responses(404, 409),
     )
     async def act(
         context: Context, calibration: CalibrationName, asking: Who, signature: Signature | None = None
-    ) -> dict[str, Any]:
+    ) -> CalibrationSummary:
         by = None if signature is None else signature.by
         before = _facts(context, calibration, action)
         record = await context.control.calibrations.act(calibration, action, by)
@@ -157,15 +156,6 @@ _add_action(
 )
 
 
-def _valid_plan(wanted: CalibrationRequest) -> CalibrationPlan:
-    members = wanted.model_dump()
-    try:
-        return CalibrationPlan(**members | {"ball_diameters_mm": tuple(wanted.ball_diameters_mm)})
-    except ValueError as err:
-        errors = [{"field": "body", "message": str(err)}]
-        raise Problem(422, "invalid-request", str(err), errors=errors) from err
-
-
 def _facts(context: ApiContext, name: str, action: CalibrationAction) -> dict[str, Any] | None:
     """Return what an action may change: which calibration is in use, or the record of this one."""
     known = context.control.calibrations
@@ -174,18 +164,9 @@ def _facts(context: ApiContext, name: str, action: CalibrationAction) -> dict[st
     return next((asdict(record) for record in known.all() if record.id == name), None)
 
 
-def _summary(context: ApiContext, record: CalibrationRecord) -> dict[str, Any]:
-    return {**asdict(record), "is_active": record.id == context.control.calibrations.active.id}
-
-
-def _document(context: ApiContext, details: CalibrationDetails) -> dict[str, Any]:
-    return {
-        **_summary(context, details.record),
-        "drops": [{**asdict(drop), "views": list(drop.views)} for drop in details.drops],
-        "coverage": {**asdict(details.coverage), "is_sufficient": details.coverage.is_sufficient},
-        "residuals_before_px": details.residuals_px,
-        "report": None if details.report is None else _without_rig(details.report),
-    }
+def _summary(context: ApiContext, record: CalibrationRecord) -> CalibrationSummary:
+    is_active = record.id == context.control.calibrations.active.id
+    return CalibrationSummary(**asdict(record), is_active=is_active)
 
 
 def _without_rig(report: Mapping[str, Any]) -> dict[str, Any]:

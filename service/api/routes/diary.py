@@ -3,23 +3,21 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from pipeline.frames import rfc3339
 from service.api.auth import Who, require
 from service.api.context import Context
 from service.api.problems import Problem, problem_responses
-from service.api.routes.results import Time
 from service.api.routes.trends import KEEP_S, Hours
 from service.api.routes.windows import next_second
 from service.api.settings import Scope
 from service.api.shared_documents import shared
 from service.api.trend_answers import changes_json
 from service.base.language import Language
-from service.base.schema import TIME
+from service.base.schema import GivenTime
 from service.lots.trends.changes import Changes
-from service.lots.trends.diary import DiaryEntry, DiaryKind, FutureEntryError, NewEntry, entries, note_entry
-from service.lots.trends.trend import DiaryDocument
+from service.lots.trends.diary import DiaryEntry, DiaryRequest, FutureEntryError, entries, note_entry
 
 router = APIRouter(tags=["diary"])
 
@@ -27,35 +25,15 @@ READABLE = [Depends(require(Scope.READ))]
 OPERABLE = [Depends(require(Scope.OPERATE))]
 
 
-class DiaryRequest(BaseModel):
-    """Something that was done to the crusher."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    kind: DiaryKind = Field(
-        description="To the `gap` (closed side setting), the `liner`, the `feed`, or anything `other`"
-    )
-    text: Annotated[str, Field(max_length=500)] = Field(
-        default="", description="Whatever is to be said of it"
-    )
-    value: Annotated[float | None, Field(ge=0, le=1e6)] = Field(
-        default=None, description="Of a `gap` its setting, mm; of a `feed` its rate, t/h"
-    )
-    at: Annotated[Time | None, Field(json_schema_extra=TIME)] = Field(
-        default=None, description="When it was done, RFC 3339; now when absent, never in the future"
-    )
-
-
 class DiaryPage(BaseModel):
     """Entries of the crusher's diary."""
 
-    items: list[DiaryDocument] = Field(description="Newest first")
+    items: list[DiaryEntry] = Field(description="Newest first")
 
 
 @router.post(
     "/diary",
     status_code=201,
-    response_model=DiaryDocument,
     dependencies=OPERABLE,
     responses=problem_responses(422),
 )
@@ -63,7 +41,6 @@ class DiaryPage(BaseModel):
     "/events",
     name="post_event",
     status_code=201,
-    response_model=DiaryDocument,
     dependencies=OPERABLE,
     responses=problem_responses(422),
 )
@@ -74,20 +51,20 @@ async def post_diary(context: Context, wanted: DiaryRequest, asking: Who) -> Dia
     """
     context.store.require_writable()
     try:
-        return await context.store.write(note_entry, NewEntry(**wanted.model_dump()), asking)
+        return await context.store.write(note_entry, wanted, asking)
     except FutureEntryError as err:
         raise Problem(422, "invalid-request", f"body.{err}") from err
 
 
-@router.get("/diary", response_model=DiaryPage, dependencies=READABLE, responses=problem_responses())
+@router.get("/diary", dependencies=READABLE, responses=problem_responses())
 async def get_diary(
     context: Context,
-    since: Annotated[Time | None, Query(description="Done at or after, RFC 3339")] = None,
-    until: Annotated[Time | None, Query(description="Done before")] = None,
+    since: Annotated[GivenTime | None, Query(description="Done at or after, RFC 3339")] = None,
+    until: Annotated[GivenTime | None, Query(description="Done before")] = None,
     limit: Annotated[int, Query(ge=1, le=1000, description="Entries of the answer, at most")] = 100,
-) -> dict[str, list[DiaryEntry]]:
+) -> DiaryPage:
     """Return the crusher's diary, newest first."""
-    return {"items": await context.store.read(entries, since, until, limit)}
+    return DiaryPage(items=await context.store.read(entries, since, until, limit))
 
 
 @router.get("/diary/changes", response_model=Changes, dependencies=READABLE, responses=problem_responses())

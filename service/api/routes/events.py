@@ -1,28 +1,29 @@
 """What happened beside results: lots, alarms, calibrations, the state of the rig."""
 
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Annotated
 
 from fastapi import APIRouter, Query
 from fastapi.responses import Response
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from service.api.context import Context
 from service.api.feeds import EVENTS, MAX_SEQ, CursorPage, cursor_problem, page_after
 from service.api.problems import problem_responses
-from service.base.schema import TIME
-from service.store.events import EventType
+from service.base.schema import adds_to
+from service.store.events import NewEvent
 
 router = APIRouter(prefix="/events", tags=["events"])
 
 
-class EventDocument(BaseModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventDocument(NewEvent):
     """Something that happened."""
 
-    seq: int = Field(description="Strictly increasing, without gaps")
-    at: str = Field(description="When it happened, RFC 3339 UTC", json_schema_extra=TIME)
-    type: EventType = Field(description="What happened; later versions have more types")
-    subject: str = Field(description="To what: a lot, the check of an alarm, a calibration, a verification")
-    data: dict[str, Any] = Field(description="More of it, by type")
+    __pydantic_config__ = adds_to(NewEvent)
+
+    seq: int
+    """Strictly increasing, without gaps."""
 
 
 class EventsDocument(CursorPage):

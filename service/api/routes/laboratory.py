@@ -13,9 +13,9 @@ from service.api.pages import sieving_document, sievings_json
 from service.api.problems import Problem, existing, problem_responses
 from service.api.routes.lot_figures import Measuring
 from service.api.routes.lots import LotName
-from service.api.routes.products import ProductName, Text
+from service.api.routes.products import ProductName
 from service.api.settings import Scope
-from service.base.schema import TIME
+from service.base.schema import TIME, Name
 from service.lots.laboratory import (
     MOST_SIEVES,
     Correlation,
@@ -53,8 +53,8 @@ class SievingRequest(BaseModel):
         default=None,
         description="Lines of aperture in mm (or `pan`), semicolon or tab, mass in g, or in kg where it says so",
     )
-    sample_id: Text | None = Field(default=None, description="Id of the laboratory sample")
-    by: Text | None = Field(default=None, description="Who sieved")
+    sample_id: Name | None = Field(default=None, description="Id of the laboratory sample")
+    by: Name | None = Field(default=None, description="Who sieved")
     remark: Annotated[str, Field(max_length=2000)] | None = Field(
         default=None, description="Whatever else is to be kept with it"
     )

@@ -1,6 +1,5 @@
 """The figures of a lot, its reports, and the stones behind each step of its curve."""
 
-from dataclasses import asdict
 from math import inf
 from typing import Annotated, Any
 
@@ -18,11 +17,10 @@ from service.api.routes.lots import LotName
 from service.api.routes.particle_files import best_match
 from service.api.settings import Scope
 from service.base.language import Language
-from service.base.schema import TIME
 from service.lots.figures import LotFigures
 from service.lots.lots import find_lot
 from service.lots.products import find_product
-from service.lots.stored_stones import Choice, stones_behind, versions_of_lot
+from service.lots.stored_stones import Choice, StoneBehindStep, stones_behind, versions_of_lot
 from service.lots.yardsticks import Request, yardstick_of
 from service.reports.report import ReportFormat
 from service.store import read
@@ -34,22 +32,6 @@ REPORTS: dict[int | str, dict[str, Any]] = {
 }
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 """What a browser lets the HTML do: it has no scripts and loads nothing."""
-
-
-class StoneBehindStep(BaseModel):
-    """A stone between two neighbouring sieves of the curve."""
-
-    seq: int = Field(description="`seq` of the result")
-    id: str = Field(description="`id` of the result")
-    captured_at: str = Field(description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME)
-    quality: str = Field(
-        description="How far from the truth the result may be: `good`, `reduced` or `degraded`"
-    )
-    sieve_size_mm: float = Field(
-        description="Smallest square aperture the body passes (EN 933-2 square holes), mm"
-    )
-    volume_mm3: float = Field(description="Corrected volume, mm³")
-    influence_percent: float = Field(description="Its share of the lot's mass")
 
 
 class StonesBehindStep(BaseModel):
@@ -179,7 +161,6 @@ async def report_file(
 
 @router.get(
     "/{lot}/particles",
-    response_model=StonesBehindStep,
     responses=problem_responses(404, 422),
 )
 async def particles_behind_step(
@@ -191,7 +172,7 @@ async def particles_behind_step(
         Query(gt=0, le=1000, description="Aperture of the upper sieve, mm; all stones when absent"),
     ] = None,
     limit: Annotated[int, Query(ge=1, le=1000, description="Stones of the answer, at most")] = 100,
-) -> dict[str, Any]:
+) -> StonesBehindStep:
     """Return the heaviest stones of a lot, or those behind a step of its curve.
 
     Behind a step are the stones that pass this sieve and not the next smaller one of the set.
@@ -203,7 +184,7 @@ async def particles_behind_step(
     above_mm = max((each for each in apertures_mm if sieve is not None and each < sieve), default=0.0)
     up_to_mm = inf if sieve is None else sieve
     items = await context.store.read(stones_behind, lot, above_mm, up_to_mm, limit)
-    return {"above_mm": above_mm, "up_to_mm": sieve, "items": [asdict(each) for each in items]}
+    return StonesBehindStep(above_mm=above_mm, up_to_mm=sieve, items=items)
 
 
 async def _report(

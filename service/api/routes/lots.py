@@ -3,7 +3,7 @@
 import re
 import sqlite3
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Response
@@ -15,18 +15,17 @@ from service.api.context import ApiContext, Context
 from service.api.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unchanged
 from service.api.feeds import MAX_SEQ
 from service.api.problems import Problem, existing, problem_responses
-from service.api.routes.products import Text
-from service.api.routes.results import Time
 from service.api.settings import Scope
 from service.api.version import BASE
-from service.base.ids import ID, NEW_ID
-from service.base.schema import TIME
+from service.base.ids import ID
+from service.base.schema import REQUEST, TIME, GivenTime, adds_to
 from service.lots.evaluation import lot_document
 from service.lots.figures import LotDocument
 from service.lots.lots import (
     LotDefinition,
     LotRecord,
     LotState,
+    Tonnage,
     UnknownProductError,
     assign,
     close_lot,
@@ -39,34 +38,26 @@ from service.lots.lots import (
 router = APIRouter(prefix="/lots", tags=["lots"])
 
 LotName = Annotated[str, Path(pattern=ID, description="Id of the lot")]
-Tonnage = Annotated[float | None, Field(ge=0, le=1e6, description="Of the whole lot, t")]
 STONES = re.compile('-[0-9]+(?=")')
 """The number of stones in the tag of a lot."""
 READABLE = [Depends(require(Scope.READ))]
 OPERABLE = [Depends(require(Scope.OPERATE))]
 
 
-class LotRequest(BaseModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LotRequest(LotDefinition):
     """A lot to open, in the words of ISA-95."""
 
-    model_config = ConfigDict(extra="forbid")
+    __pydantic_config__ = adds_to(LotDefinition, REQUEST)
 
-    lot: str = Field(pattern=NEW_ID, description="Material lot")
-    product: str = Field(pattern=ID, description="Material definition")
-    product_version: int | None = Field(
-        default=None, ge=1, le=MAX_SEQ, strict=True, description="The newest when absent"
-    )
-    equipment: Text | None = Field(default=None, description="The crusher or belt that it comes from")
-    sublot: Text | None = Field(default=None, description="Material sublot, ISA-95")
-    sample_id: Text | None = Field(
-        default=None,
-        description="Id of the laboratory sample; lots with the same one are compared by `/repeatability`",
-    )
-    sampler: Text | None = Field(default=None, description="Who took the sample")
-    tonnage_t: Tonnage = None
-    remark: Annotated[str, Field(max_length=2000)] | None = Field(
-        default=None, description="Whatever else the plant says of it"
-    )
+    product: Annotated[str, Field(pattern=ID)]
+    """Material definition."""
+    product_version: Annotated[int, Field(ge=1, le=MAX_SEQ, strict=True)] | None = None
+    """The newest when absent."""
+
+    @property
+    def definition(self) -> LotDefinition:
+        return LotDefinition(**{each.name: getattr(self, each.name) for each in fields(LotDefinition)})
 
 
 class CloseRequest(BaseModel):
@@ -74,7 +65,7 @@ class CloseRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    tonnage_t: Tonnage = None
+    tonnage_t: Tonnage | None = Field(default=None, description="Of the whole lot, t")
 
 
 class VoidRequest(BaseModel):
@@ -92,8 +83,8 @@ class AssignRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    since: Annotated[Time, Field(description="Captured at or after", json_schema_extra=TIME)]
-    until: Annotated[Time, Field(description="Captured before", json_schema_extra=TIME)]
+    since: Annotated[GivenTime, Field(description="Captured at or after", json_schema_extra=TIME)]
+    until: Annotated[GivenTime, Field(description="Captured before", json_schema_extra=TIME)]
 
 
 class LotsPage(BaseModel):
@@ -122,12 +113,10 @@ async def post_lot(context: Context, wanted: LotRequest, response: Response, ask
 
     The same request again returns the open lot. 409 `lot-conflict` while another is open, or if this one was.
     """
-    given = wanted.model_dump(exclude={"product", "product_version"})
-    definition = LotDefinition(**given)
     context.store.require_writable()
     try:
         record = await context.store.write(
-            open_lot, definition, wanted.product, wanted.product_version, asking
+            open_lot, wanted.definition, wanted.product, wanted.product_version, asking
         )
     except UnknownProductError as err:
         raise Problem(404, "unknown-product", f"there is no product {err}") from err
@@ -140,7 +129,7 @@ async def list_lots(
     context: Context,
     state: Annotated[LotState | None, Query(description="Only lots in this state")] = None,
     product: Annotated[str | None, Query(max_length=64, description="Only lots of this product")] = None,
-    before: Annotated[Time | None, Query(description="Opened before, RFC 3339")] = None,
+    before: Annotated[GivenTime | None, Query(description="Opened before, RFC 3339")] = None,
     limit: Annotated[int, Query(ge=1, le=1000, description="Lots of a page, at most")] = 100,
 ) -> LotsPage:
     """Return lots, newest first."""

@@ -13,8 +13,9 @@ from service.api.feeds import MAX_SEQ, MAX_SMALL
 from service.api.gzipped import TakesGzip
 from service.api.pages import particles_page
 from service.api.problems import existing, problem_responses
-from service.api.routes.results import ChosenFields, Time
+from service.api.routes.results import ChosenFields
 from service.api.version import API_VERSION
+from service.base.schema import GivenTime
 from service.results.fields import QualityCause, Result, completed
 from service.store import ParticleFilter, Record, read
 
@@ -57,8 +58,8 @@ async def particles(
     kind: Annotated[Literal["particle", "ball"] | None, Query(description="Only of this kind")] = None,
     min_sieve_size_mm: SizeMm = None,
     max_sieve_size_mm: SizeMm = None,
-    since: Annotated[Time | None, Query(description="Captured at or after, RFC 3339")] = None,
-    until: Annotated[Time | None, Query(description="Captured before, RFC 3339")] = None,
+    since: Annotated[GivenTime | None, Query(description="Captured at or after, RFC 3339")] = None,
+    until: Annotated[GivenTime | None, Query(description="Captured before, RFC 3339")] = None,
     lot: Annotated[str | None, Query(max_length=64, description="In this lot now")] = None,
     has_frames: Annotated[
         bool | None,

@@ -4,22 +4,19 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query
 from fastapi.responses import Response
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
-from pipeline.frames import rfc3339
 from service.api.context import Context
 from service.api.feeds import MAX_SEQ, RESULTS, CursorPage, choosing, cursor_problem, page_after
 from service.api.gzipped import TakesGzip
 from service.api.pages import Names
 from service.api.problems import Problem, problem_responses
-from service.base.schema import TIME
+from service.base.schema import GivenTime
 from service.results.fields import Result
 from service.results.selection import UnknownFieldsError, chosen_fields
 from service.store.reads import seq_before
 
 router = APIRouter(prefix="/results", tags=["results"])
-
-Time = Annotated[str, AfterValidator(rfc3339), Query(json_schema_extra=TIME)]
 
 
 class ResultsPage(CursorPage):
@@ -63,7 +60,7 @@ async def results(
         float, Query(ge=0, le=30, description="Longest wait for a result when there is none yet, s")
     ] = 0,
     since: Annotated[
-        Time | None,
+        GivenTime | None,
         Query(
             description="Begin with the first result that became durable (`recorded_at`) at or after this time,"
             " RFC 3339, instead of `after`: to find a cursor. Then go on with `next_after`"

@@ -14,7 +14,7 @@ from service.api.settings import Scope
 from service.base.ids import ID
 from service.base.redaction import shown
 from service.base.schema import TIME
-from service.delivery.table import EventCursorError, deliveries
+from service.delivery.table import Attempt, EventCursorError, deliveries
 from service.delivery.webhooks import BeingTestedError, EndpointStatus
 from service.store.events import EventType
 
@@ -51,23 +51,10 @@ class WebhooksDocument(BaseModel):
     items: list[WebhookDocument] = Field(description="In the order of the configuration")
 
 
-class DeliveryDocument(BaseModel):
-    """One attempt to tell an endpoint of something."""
-
-    at: str = Field(json_schema_extra=TIME, description="When it was begun, RFC 3339 UTC")
-    webhook_id: str = Field(description="The same on every attempt to tell of an event")
-    type: str = Field(description="Of the event, or `webhook.test`")
-    event: int | None = Field(description="`seq` of the event; null for a test")
-    attempt: int = Field(description="1: the first")
-    status: int | None = Field(description="Of the answer; null if there was none")
-    problem: str | None = Field(description="Why the message was not taken; null if it was")
-    duration_ms: int = Field(description="From its begin to the answer, ms")
-
-
 class DeliveriesDocument(BaseModel):
     """The newest attempts of an endpoint; 500 are kept."""
 
-    items: list[DeliveryDocument] = Field(description="Newest first")
+    items: list[Attempt] = Field(description="Newest first")
 
 
 class ReplayRequest(BaseModel):
@@ -97,14 +84,14 @@ async def webhooks(context: Context) -> dict[str, Any]:
     return {"items": [_document(status) for status in await context.control.webhooks.statuses()]}
 
 
-@router.get("/{webhook}/deliveries", response_model=DeliveriesDocument, responses=problem_responses(404))
+@router.get("/{webhook}/deliveries", responses=problem_responses(404))
 async def webhook_deliveries(
     context: Context,
     name: Name,
     limit: Annotated[int, Query(ge=1, le=500, description="Attempts, at most")] = 100,
-) -> dict[str, Any]:
+) -> DeliveriesDocument:
     """Return what came of the newest attempts to tell an endpoint, newest first."""
-    return {"items": [asdict(each) for each in await context.store.read(deliveries, name, limit)]}
+    return DeliveriesDocument(items=await context.store.read(deliveries, name, limit))
 
 
 @router.post("/{webhook}/enable", response_model=WebhookDocument, responses=problem_responses(404))
@@ -130,15 +117,15 @@ async def replay_webhook(context: Context, name: Name, wanted: ReplayRequest, as
     return _document(await context.control.webhooks.status(name))
 
 
-@router.post("/{webhook}/test", response_model=DeliveryDocument, responses=problem_responses(404))
-async def test_webhook(context: Context, name: Name, asking: Who) -> dict[str, Any]:
+@router.post("/{webhook}/test", responses=problem_responses(404))
+async def test_webhook(context: Context, name: Name, asking: Who) -> Attempt:
     """Send an endpoint a `webhook.test` now, once, disabled or not; return what came of it.
 
     It takes as long as the endpoint, `[webhooks] timeout_s` at most. 503 `busy` while another test is under way.
     """
     context.store.require_writable()
     try:
-        return asdict(await context.control.webhooks.test(name, asking))
+        return await context.control.webhooks.test(name, asking)
     except BeingTestedError as err:
         raise Problem(503, "busy", str(err), retry_after_s=2) from err
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+from service.base.schema import ANSWER, OptionalTime, Time
 from service.health.alarms.rules import Priority
 
 
@@ -28,20 +29,37 @@ ANNOUNCED = (*ACTIVE, AlarmState.RETURNED)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alarm:
-    """An alarm; times are RFC 3339."""
+    """An alarm, from its first rise to its end."""
+
+    __pydantic_config__ = ANSWER
 
     id: int
+    """Number of the alarm, in the order in which they were raised."""
     check: str
+    """The check of `/health` that does not pass, such as `gate` or `camera:c01`."""
     state: AlarmState
-    priority: Priority  # the highest since it was raised
+    """In the words of ISA-18.2; returned: its cause is gone, and nobody has acknowledged it."""
+    priority: Priority
+    """The highest since it was raised."""
     detail: str | None
-    raised_at: str
-    changed_at: str
-    occurrences: int = 1  # how often its cause came back
-    cleared_at: str | None = None  # when its cause was gone last
-    acknowledged_at: str | None = None
+    """What the check says."""
+    raised_at: Time
+    """When it was first raised, RFC 3339 UTC."""
+    changed_at: Time
+    """When its state or priority last changed."""
+    occurrences: int = 1
+    """How often its cause came back before somebody acknowledged it, and 1."""
+    cleared_at: OptionalTime = None
+    """When its cause was last gone."""
+    acknowledged_at: OptionalTime = None
+    """When somebody took note; null while nobody has."""
     acknowledged_by: str | None = None
-    shelved_until: str | None = None
+    """Name of the key that took note."""
+    shelved_until: OptionalTime = None
+    """When it comes back; null while it is not shelved."""
     shelved_by: str | None = None
+    """Name of the key that put it aside."""
     shelf_reason: str | None = None
-    ended_at: str | None = None
+    """Why it was put aside."""
+    ended_at: OptionalTime = None
+    """When it ended; null while it has not."""

@@ -23,7 +23,6 @@ from service.base.schema import TIME
 from service.base.status import Report
 from service.lots.trends.diary import DiaryEntry, entries
 from service.lots.trends.stretches import stretch, times_of
-from service.lots.trends.trend import DiaryDocument
 
 MAX_SIDE = timedelta(hours=12)
 """How far before and after an entry is looked."""
@@ -70,7 +69,7 @@ class FigureChange(Report):
 class EntryChanges(Report):
     """What has changed since an entry of the diary."""
 
-    entry: DiaryDocument = Field(description="The entry")
+    entry: DiaryEntry = Field(description="The entry")
     before_since: str = Field(
         description="What is compared begins here: at the entry before it, at most 12 h back",
         json_schema_extra=TIME,
@@ -114,7 +113,7 @@ def _changes(
     before = _side(connection, since, entry.at, measured)
     after = _side(connection, entry.at, until, measured)
     return EntryChanges(
-        entry=DiaryDocument.model_validate(entry, from_attributes=True),
+        entry=entry,
         before_since=since,
         after_until=until,
         n_before=before.n_measured,

@@ -4,10 +4,14 @@ import sqlite3
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
+from typing import Annotated
+
+from pydantic import Field
 
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
 from service.base.errors import ServiceError
+from service.base.schema import ANSWER, REQUEST, TIME, GivenTime, Time
 from service.store import audit
 from service.store.events import EventType, NewEvent, note_event
 from service.store.schema import transaction
@@ -33,29 +37,44 @@ class FutureEntryError(ServiceError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NewEntry:
-    """An entry that has no number yet."""
+class DiaryRequest:
+    """Something that was done to the crusher."""
+
+    __pydantic_config__ = REQUEST
 
     kind: DiaryKind
-    text: str = ""
-    value: float | None = None
-    at: str | None = None  # RFC 3339 UTC; now when None
+    """To the `gap` (closed side setting), the `liner`, the `feed`, or anything `other`."""
+    text: Annotated[str, Field(max_length=500)] = ""
+    """Whatever is to be said of it."""
+    value: Annotated[float, Field(ge=0, le=1e6)] | None = None
+    """Of a `gap` its setting, mm; of a `feed` its rate, t/h."""
+    at: Annotated[GivenTime | None, Field(json_schema_extra=TIME)] = None
+    """When it was done, RFC 3339; now when absent, never in the future."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiaryEntry:
-    """An entry of the diary."""
+    """An entry of the crusher's diary."""
+
+    __pydantic_config__ = ANSWER
 
     entry: int
-    at: str
+    """Number of the entry, in the order in which they were noted."""
+    at: Time
+    """When it was done, RFC 3339 UTC."""
     kind: DiaryKind
+    """What was done: to the `gap` (closed side setting), the `liner`, the `feed`, or `other`."""
     text: str
+    """In the words of who noted it; may be empty."""
     value: float | None
+    """Of a `gap` its setting, mm; of a `feed` its rate, t/h; null: none given."""
     who: str
-    noted_at: str
+    """Who noted it: a key or this machine."""
+    noted_at: Time
+    """When it was noted, RFC 3339 UTC."""
 
 
-def note_entry(connection: sqlite3.Connection, new: NewEntry, who: str) -> DiaryEntry:
+def note_entry(connection: sqlite3.Connection, new: DiaryRequest, who: str) -> DiaryEntry:
     """Enter something into the diary, with an event and an entry of the audit.
 
     Raises

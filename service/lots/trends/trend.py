@@ -18,7 +18,7 @@ from service.base.schema import TIME
 from service.base.status import Report
 from service.lots.figures import Figure, figure
 from service.lots.lots import LotState
-from service.lots.trends.diary import DiaryKind, entries
+from service.lots.trends.diary import DiaryEntry, entries
 from service.lots.trends.stretches import stretch
 
 BUCKETS_S = (60, 120, 300, 600, 900, 1800, 3600, 7200, 10_800, 21_600, 43_200, 86_400)
@@ -48,22 +48,6 @@ class TrendBucket(Report):
     shape_percent: Figure = Field(description="Shape index SI, EN 933-4, %")
 
 
-class DiaryDocument(Report):
-    """An entry of the crusher's diary."""
-
-    entry: int = Field(description="Number of the entry, in the order in which they were noted")
-    at: str = Field(description="When it was done, RFC 3339 UTC", json_schema_extra=TIME)
-    kind: DiaryKind = Field(
-        description="What was done: to the `gap` (closed side setting), the `liner`, the `feed`, or `other`"
-    )
-    text: str = Field(description="In the words of who noted it; may be empty")
-    value: float | None = Field(
-        description="Of a `gap` its setting, mm; of a `feed` its rate, t/h; null: none given"
-    )
-    who: str = Field(description="Who noted it: a key or this machine")
-    noted_at: str = Field(description="When it was noted, RFC 3339 UTC", json_schema_extra=TIME)
-
-
 class TrendLot(Report):
     """A lot that was open within the time."""
 
@@ -83,7 +67,7 @@ class Trend(Report):
     until: str = Field(description="Now, as the host sees it", json_schema_extra=TIME)
     bucket_s: int = Field(description="Length of a bucket, s; the last one is not over yet")
     buckets: list[TrendBucket] = Field(description="Oldest first, also those in which nothing fell")
-    diary: list[DiaryDocument] = Field(description="Entries within the time, oldest first, the newest 500")
+    diary: list[DiaryEntry] = Field(description="Entries within the time, oldest first, the newest 500")
     lots: list[TrendLot] = Field(
         description="Lots that were open within the time, oldest first, the newest 500"
     )
@@ -108,10 +92,7 @@ def trend(connection: sqlite3.Connection, now: str, hours: float, measured: Meas
         until=now,
         bucket_s=bucket_s,
         buckets=[_bucket(connection, since, until, measured) for since, until in pairwise(edges)],
-        diary=[
-            DiaryDocument.model_validate(each, from_attributes=True)
-            for each in reversed(entries(connection, edges[0], now, MAX_MARKS))
-        ],
+        diary=entries(connection, edges[0], now, MAX_MARKS)[::-1],
         lots=_lots(connection, edges[0], now),
     )
 

@@ -12,7 +12,7 @@ from support.calibration_desk import ARMED, CONFIGURED, MadeUpSolver, accepted, 
 import drivers.files.durable
 from drivers.files.rig_file import read_rig
 from service.calibration.states import CalibrationAction, CalibrationConflictError
-from service.calibration.verifications import VerificationPlan, VerificationState
+from service.calibration.verifications import VerificationRequest, VerificationState
 from service.store.history import incidents
 
 
@@ -97,7 +97,7 @@ async def test_when_none_in_use_can_be_read_the_configured_one_is_used(tmp_path:
 async def test_an_activation_ends_a_verification(tmp_path: Path):
     desk = open_desk(tmp_path)
     name = await accepted(desk)
-    verification = await desk.verify(VerificationPlan(), ARMED)
+    verification = await desk.verify(VerificationRequest(), ARMED)
     await desk.act(name, CalibrationAction.ACTIVATE)
     found = desk.verifications.find(verification.id)
     assert found is not None

@@ -27,7 +27,7 @@ from service.base.errors import StoreError
 from service.base.status import AcquisitionState
 from service.calibration import calibrations
 from service.calibration.files import CalibrationFiles, CalibrationRecord
-from service.calibration.plan import CalibrationPlan, Method
+from service.calibration.plan import CalibrationRequest, Method
 from service.calibration.states import (
     OPEN,
     TRANSITIONS,
@@ -36,7 +36,7 @@ from service.calibration.states import (
     CalibrationState,
     next_state,
 )
-from service.calibration.verifications import VerificationPlan
+from service.calibration.verifications import VerificationRequest
 from service.processing.worker_pool import JobLostError
 
 
@@ -64,7 +64,7 @@ def test_every_open_calibration_can_be_cancelled_and_requests_can_be_repeated():
 )
 def test_a_plan_that_cannot_work_is_refused(diameters_mm, method):
     with pytest.raises(ValueError, match="ball_diameters_mm"):
-        CalibrationPlan(ball_diameters_mm=diameters_mm, method=method)
+        CalibrationRequest(ball_diameters_mm=diameters_mm, method=method)
 
 
 async def test_from_the_first_drop_to_the_roll_back(tmp_path: Path):
@@ -119,18 +119,18 @@ async def test_only_one_calibration_or_verification_is_open(tmp_path: Path):
     with pytest.raises(
         CalibrationConflictError, match="0003 is collecting: accept, reject or cancel it first"
     ):
-        await desk.verify(VerificationPlan(), ARMED)
+        await desk.verify(VerificationRequest(), ARMED)
     with pytest.raises(CalibrationConflictError, match="0003 is collecting and starts from 0001"):
         await desk.act(version, CalibrationAction.ACTIVATE)
     await desk.act("0003", CalibrationAction.CANCEL)
-    await desk.verify(VerificationPlan(), ARMED)
+    await desk.verify(VerificationRequest(), ARMED)
     with pytest.raises(CalibrationConflictError, match="verification 0001 waits"):
         await desk.start(BALL, ARMED)
 
 
 async def test_while_stones_calibrate_they_count_as_stones(tmp_path: Path):
     desk = open_desk(tmp_path)
-    await desk.start(CalibrationPlan(method=Method.STONES), ARMED)
+    await desk.start(CalibrationRequest(method=Method.STONES), ARMED)
     assert desk.collector is not None
     assert desk.collector.kind is BundleKind.PARTICLE
     assert not desk.wants_balls

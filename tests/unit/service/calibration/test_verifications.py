@@ -13,14 +13,14 @@ from service.calibration import verifications
 from service.calibration.verification_limits import VerificationParameters
 from service.calibration.verifications import (
     Verification,
-    VerificationPlan,
+    VerificationRequest,
     Verifications,
     VerificationState,
     open_verifications,
 )
 from service.results.fields import Verified
 
-PLAN = VerificationPlan(diameter_mm=15.0, count=3)
+PLAN = VerificationRequest(diameter_mm=15.0, count=3)
 
 
 def opened(folder: Path, **parameters: float) -> Verifications:

@@ -13,7 +13,7 @@ from support.rest import particle_files
 from support.stores import folder_of
 
 from service.daemon.retaining import LowThread, Retaining
-from service.recording.recordings import RecordingPlan, Recordings, RecordingsSettings, open_recordings
+from service.recording.recordings import RecordingRequest, Recordings, RecordingsSettings, open_recordings
 from service.store import Store, open_store
 from service.store.retention import Disk, RetentionLimits, mark_files
 from service.store.sweep import sweep
@@ -82,7 +82,7 @@ async def test_nothing_goes_for_its_age_while_the_clock_is_in_doubt(
 async def test_recordings_go_only_if_the_settings_say_so(
     store: Store, recordings: Recordings, days: float, kept: list[str]
 ) -> None:
-    await recordings.start(RecordingPlan(name="r1"))
+    await recordings.start(RecordingRequest(name="r1", count=100))
     recordings.offer(make_bundle(1))
     await recordings.stop("r1")
     daemon = retaining(store, recordings, RetentionLimits(recordings_days=days))

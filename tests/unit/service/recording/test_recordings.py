@@ -3,6 +3,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from pydantic import TypeAdapter, ValidationError
 from support.recordings import CAMERAS, SOURCE, make_bundle
 
 from drivers.files.recording import open_recording
@@ -10,8 +11,8 @@ from pipeline.frames import BundleKind
 from service.recording.live_recording import RecordingState
 from service.recording.recordings import (
     KEPT_BACKGROUNDS,
-    RecordingPlan,
     RecordingRefusedError,
+    RecordingRequest,
     Recordings,
     RecordingsSettings,
     Refusal,
@@ -45,7 +46,7 @@ async def test_a_recording_begins_in_the_past_with_what_makes_it_measurable(tmp_
     offer(recordings, 11, kind=BundleKind.BACKGROUND)
     offer(recordings, 12)
     recordings.offer(make_bundle(13, missing=dict.fromkeys(CAMERAS, "no_frame")))
-    started = await recordings.start(RecordingPlan(name="r1", count=2, pre_trigger=2))
+    started = await recordings.start(RecordingRequest(name="r1", count=2, pre_trigger=2))
     assert (started.name, started.state) == ("r1", RecordingState.RECORDING)
     offer(recordings, 14, 15, 16)
     stopped = await recordings.stop("r1")
@@ -67,7 +68,7 @@ async def test_a_recording_begins_in_the_past_with_what_makes_it_measurable(tmp_
 async def test_no_more_of_the_past_than_is_kept(tmp_path: Path, kept: int):
     recordings = opened(tmp_path, pre_trigger=kept)
     offer(recordings, 1, 2, 3)
-    await recordings.start(RecordingPlan(name="r1", count=1, pre_trigger=100))
+    await recordings.start(RecordingRequest(name="r1", count=1, pre_trigger=100))
     offer(recordings, 4)
     await recordings.close()
     assert sequences_in(tmp_path / "r1") == [1, 2, 3, 4][3 - kept :]
@@ -75,7 +76,7 @@ async def test_no_more_of_the_past_than_is_kept(tmp_path: Path, kept: int):
 
 async def test_one_at_a_time_and_every_name_once(tmp_path: Path):
     recordings = opened(tmp_path)
-    plans = [RecordingPlan(name=name, count=5) for name in ("r1", "r2")]
+    plans = [RecordingRequest(name=name, count=5) for name in ("r1", "r2")]
     results = await asyncio.gather(*map(recordings.start, plans), return_exceptions=True)
     (refused,) = [error for error in results if isinstance(error, RecordingRefusedError)]
     assert refused.refusal is Refusal.RUNNING
@@ -83,9 +84,9 @@ async def test_one_at_a_time_and_every_name_once(tmp_path: Path):
     offer(recordings, 1)
     assert (await recordings.stop(running.name)) == await recordings.stop(running.name)
     with pytest.raises(RecordingRefusedError, match=running.name) as caught:
-        await recordings.start(RecordingPlan(name=running.name, count=1))
+        await recordings.start(RecordingRequest(name=running.name, count=1))
     assert caught.value.refusal is Refusal.EXISTS
-    await recordings.start(RecordingPlan(name="r3", count=1))
+    await recordings.start(RecordingRequest(name="r3", count=1))
     offer(recordings, 2)
     await recordings.close()
     assert [(status.name, status.bundles) for status in await recordings.all()] == [
@@ -98,13 +99,13 @@ async def test_one_at_a_time_and_every_name_once(tmp_path: Path):
 async def test_failures_are_told_until_the_next_recording(tmp_path: Path):
     recordings = opened(tmp_path)
     assert recordings.trouble is None
-    await recordings.start(RecordingPlan(name="r1", count=1))
+    await recordings.start(RecordingRequest(name="r1", count=1))
     stopped = await recordings.stop("r1")
     assert stopped is not None
     assert stopped.state is RecordingState.FAILED
     assert recordings.trouble == "recording r1: nothing was recorded, it ended by stop"
     assert await recordings.all() == [stopped]
-    await recordings.start(RecordingPlan(name="r1", count=1))  # a name that holds nothing is free
+    await recordings.start(RecordingRequest(name="r1", count=1))  # a name that holds nothing is free
     assert recordings.trouble is None
     offer(recordings, 1)
     await recordings.close()
@@ -115,7 +116,7 @@ async def test_failures_are_told_until_the_next_recording(tmp_path: Path):
 async def test_without_room_nothing_is_started(tmp_path: Path):
     recordings = opened(tmp_path, reserve_gb=100_000.0)
     with pytest.raises(RecordingRefusedError, match="make room or record less") as caught:
-        await recordings.start(RecordingPlan(name="r1", count=1))
+        await recordings.start(RecordingRequest(name="r1", count=1))
     assert caught.value.refusal is Refusal.NO_ROOM
     assert await recordings.all() == []
 
@@ -125,7 +126,7 @@ async def test_the_next_start_finds_what_is_complete_and_removes_what_is_not(
 ):
     recordings = opened(tmp_path)
     offer(recordings, 1)
-    await recordings.start(RecordingPlan(name="r1", count=1, pre_trigger=1))
+    await recordings.start(RecordingRequest(name="r1", count=1, pre_trigger=1))
     offer(recordings, 2)
     await recordings.close()
     (tmp_path / ".r2.4711.unfinished" / "bundles").mkdir(parents=True)  # as a killed daemon leaves it
@@ -184,8 +185,13 @@ async def test_one_recording_is_found_without_the_others(tmp_path: Path, monkeyp
     ],
 )
 def test_plans_are_checked(plan, field):
-    with pytest.raises(ValueError, match=f"^{field} "):
-        RecordingPlan(**plan)
+    with pytest.raises(ValidationError, match=f"\n{field}\n"):
+        TypeAdapter(RecordingRequest).validate_python({"count": 1, **plan})
+
+
+def test_a_recording_must_end():
+    with pytest.raises(ValueError, match="a recording must end"):
+        RecordingRequest(name="endless")
 
 
 @pytest.mark.parametrize(
@@ -201,7 +207,7 @@ async def test_a_recording_names_the_calibration_in_use(tmp_path: Path):
     recordings = opened(tmp_path)
     later = replace(SOURCE.rig, name="calibrated anew")
     recordings.use_rig(later)
-    await recordings.start(RecordingPlan(name="r1", count=1))
+    await recordings.start(RecordingRequest(name="r1", count=1))
     offer(recordings, 1)
     await recordings.stop("r1")
     rig = open_recording(tmp_path / "r1").rig

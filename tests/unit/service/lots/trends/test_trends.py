@@ -16,7 +16,7 @@ from pipeline.gradation.stones import lot_of
 from service.base.language import Language
 from service.lots.stored_stones import stones_between
 from service.lots.trends.changes import ChangedFigure, EntryChanges, FigureChange, changes
-from service.lots.trends.diary import DiaryKind, FutureEntryError, NewEntry, entries, note_entry
+from service.lots.trends.diary import DiaryKind, DiaryRequest, FutureEntryError, entries, note_entry
 from service.lots.trends.stretches import stretch, times_of
 from service.lots.trends.trend import bucket_s_of, trend
 from service.reports.changes import sentence, with_sentences
@@ -42,7 +42,7 @@ def at(hours: float) -> datetime:
 
 
 def note(connection: sqlite3.Connection, hours: float, kind: DiaryKind = DiaryKind.LINER) -> None:
-    note_entry(connection, NewEntry(kind=kind, at=rfc3339(at(hours))), "key op")
+    note_entry(connection, DiaryRequest(kind=kind, at=rfc3339(at(hours))), "key op")
 
 
 def found(connection: sqlite3.Connection, hours: float = 24.0, now: float = 0.0) -> list[EntryChanges]:
@@ -180,7 +180,7 @@ def test_few_stones_are_not_judged_and_none_are_not_measured(connection: sqlite3
 
 
 def test_the_diary_is_never_of_the_future_and_leaves_event_and_audit(connection: sqlite3.Connection) -> None:
-    noted = note_entry(connection, NewEntry(kind=DiaryKind.GAP, value=25.0, text="worn bars"), "key op")
+    noted = note_entry(connection, DiaryRequest(kind=DiaryKind.GAP, value=25.0, text="worn bars"), "key op")
     assert (noted.entry, noted.at) == (1, noted.noted_at)
     (event,) = connection.execute("SELECT type, subject, data ->> 'value' FROM events")
     assert event == ("diary.noted", "1", 25.0)
@@ -188,7 +188,7 @@ def test_the_diary_is_never_of_the_future_and_leaves_event_and_audit(connection:
         ("key op", "diary noted", "1")
     ]
     with pytest.raises(FutureEntryError):
-        note_entry(connection, NewEntry(kind=DiaryKind.GAP, at=EVER[1]), "key op")
+        note_entry(connection, DiaryRequest(kind=DiaryKind.GAP, at=EVER[1]), "key op")
     assert len(entries(connection, None, None, 10)) == 1
     assert entries(connection, None, noted.at, 10) == []
 

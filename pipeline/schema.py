@@ -1,0 +1,4 @@
+"""How dataclasses that are served as they are describe themselves."""
+
+SCHEMA = {"use_attribute_docstrings": True, "json_schema_serialization_defaults_required": True}
+"""`__pydantic_config__` of such a class: docstrings describe its fields, and all are always there."""
