@@ -1,16 +1,22 @@
 #!/usr/bin/env python3
-"""Print the structure of the three packages: files at each root, rooms, floors, arrows, circles, lines.
+"""Print the structure of the three packages: rooms, floors, arrows, circles, lines; facts described twice, long calls.
 
     python tests/benchmarks/structure.py [CHECKOUT]
 
 Root is the number of files there; a room is a module or package at the root; an arrow between two rooms stands for any
 number of imports; a room's floor is one above the highest floor that it imports; a loop is a set of rooms, a circle a
-set of modules that import each other.
+set of modules that import each other. Two classes of different files are mirrored if they share 70 % of the fields of
+the one that has more; a call is long with eight parameters or more, compiled loops apart; a first line is dark if what,
+whether, how or why is what a function returns.
 """
 
 import argparse
+import ast
 import os
+import re
 import sys
+from collections.abc import Iterator
+from itertools import combinations
 from pathlib import Path
 
 import grimp
@@ -19,6 +25,10 @@ from rich.console import Console
 from rich.table import Table
 
 PACKAGES = ("service", "drivers", "pipeline")
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+MIRRORED_SHARE, LEAST_FIELDS = 0.7, 3
+MOST_PARAMETERS = 7
+DARK = re.compile(r"(Return|Yield|Tell|Say)\w* (what|whether|how|why|which|who)\b", re.IGNORECASE)
 
 
 def circles(graph: "networkx.DiGraph[str]") -> int:
@@ -39,8 +49,53 @@ def rooms_of(modules: "networkx.DiGraph[str]") -> "networkx.DiGraph[str]":
     return rooms
 
 
+def fields_of(node: ast.ClassDef) -> set[str]:
+    """Return the names of the annotated fields of a class."""
+    return {
+        each.target.id
+        for each in node.body
+        if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name)
+    }
+
+
+def is_long(node: Function) -> bool:
+    """True for a function of more than seven parameters that is no compiled loop."""
+    arguments = node.args.posonlyargs + node.args.args + node.args.kwonlyargs
+    is_compiled = any(
+        "compiled" in ast.unparse(each) or "jit" in ast.unparse(each) for each in node.decorator_list
+    )
+    return not is_compiled and sum(each.arg not in ("self", "cls") for each in arguments) > MOST_PARAMETERS
+
+
+def nodes_of(package: str) -> Iterator[tuple[Path, ast.AST]]:
+    """Yield all nodes of a package with the file that each is in."""
+    for path in sorted(Path(package).rglob("*.py")):
+        yield from ((path, node) for node in ast.walk(ast.parse(path.read_text())))
+
+
+def table_of_words() -> Table:
+    """Return the counts over all packages: what is described twice, long calls, dark first lines."""
+    nodes = [each for package in PACKAGES for each in nodes_of(package)]
+    classes = [
+        (path, found)
+        for path, node in nodes
+        if isinstance(node, ast.ClassDef)
+        if len(found := fields_of(node)) >= LEAST_FIELDS
+    ]
+    mirrored = sum(
+        one[0] != other[0] and len(one[1] & other[1]) >= MIRRORED_SHARE * max(len(one[1]), len(other[1]))
+        for one, other in combinations(classes, 2)
+    )
+    functions = [node for _, node in nodes if isinstance(node, Function)]
+    documented = [node for _, node in nodes if isinstance(node, Function | ast.ClassDef | ast.Module)]
+    dark = sum(DARK.match(ast.get_docstring(node) or "") is not None for node in documented)
+    table = Table("mirrored pairs of classes", "long calls", "dark first lines")
+    table.add_row(str(mirrored), str(sum(map(is_long, functions))), str(dark))
+    return table
+
+
 def main() -> None:
-    """Print a row for each package."""
+    """Print a row for each package, and the counts over all."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -71,7 +126,7 @@ def main() -> None:
             sum(len(path.read_text().splitlines()) for path in sources),
         )
         table.add_row(package, *map(str, row))
-    Console(width=None if sys.stdout.isatty() else 100).print(table)
+    Console(width=None if sys.stdout.isatty() else 100).print(table, table_of_words())
 
 
 if __name__ == "__main__":
