@@ -28,6 +28,8 @@ from pipeline.frames import CameraId
 
 log = logging.getLogger(__name__)
 
+ARAVIS = "drivers.cameras.aravis:AravisCamera"
+"""Makes the cameras in their process; by name, as the daemon does not load their library."""
 GateDevice = SerialGateSettings | ModemLineSettings | GpioGateSettings
 
 
@@ -99,7 +101,7 @@ def _live_devices(backend: AravisBackend) -> Devices:
     if not is_simulated and are_simulated(backend.cameras):
         log.warning("the cameras are simulated: so are all results, and they are marked")
         is_simulated = True
-    process = CameraProcess()
+    process = CameraProcess(ARAVIS)
     cameras = {
         settings.id: RemoteCamera(replace(settings, may_be_simulated=is_simulated), process)
         for settings in backend.cameras

@@ -3,7 +3,7 @@
 ::
 
     the daemon                                             the process `stonefall-cams`
-    RemoteCamera ── Call ──> CameraProcess ── socket ──> server ──> AravisCamera, one a camera
+    RemoteCamera ── Call ──> CameraProcess ── socket ──> server ──> HostedCamera, one a camera
     sink <── Frame ───────── CameraProcess <── Delivered ── server <── Frame
-                     its image: the very memory that Aravis received into (`frame_memory`)
+                     its image: the very memory that the library received into (`frame_memory`)
 """

@@ -2,9 +2,8 @@
 
 from contextlib import suppress
 
-from drivers.camera_process.messages import Doing
+from drivers.camera_process.messages import CameraSettings, Doing
 from drivers.camera_process.process import CameraProcess
-from drivers.cameras.genicam import GigeCameraSettings
 from drivers.errors import CameraUnavailableError
 from drivers.interfaces import CameraVitals, EventSink
 from drivers.outlet import Outlet
@@ -12,9 +11,9 @@ from pipeline.frames import CameraId
 
 
 class RemoteCamera:
-    """An `AravisCamera` in a process of its own: it is lost with that process, and opened again in the next one."""
+    """A camera whose library runs in another process: it is lost with that, and opened again in the next one."""
 
-    def __init__(self, settings: GigeCameraSettings, process: CameraProcess) -> None:
+    def __init__(self, settings: CameraSettings, process: CameraProcess) -> None:
         self._settings = settings
         self._process = process
         self._outlet = Outlet()

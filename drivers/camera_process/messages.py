@@ -5,10 +5,9 @@ import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any, Protocol
 
-from drivers.cameras.genicam import GigeCameraSettings
 from drivers.errors import CameraUnavailableError
-from drivers.gvcp import DiscoveredCamera
 from drivers.interfaces import CameraVitals, DeviceEvent
 from pipeline.frames import CameraId
 
@@ -20,8 +19,18 @@ Address = tuple[str, int]
 """IPv4 address and UDP port."""
 
 
+class CameraSettings(Protocol):
+    """What a camera is opened with, of any library; pickled."""
+
+    @property
+    def id(self) -> CameraId: ...
+
+    @property
+    def n_buffers(self) -> int: ...
+
+
 class Doing(StrEnum):
-    """What a camera can be asked to do: methods of `AravisCamera`; `LIGHT` and `DARKEN` are its `light`."""
+    """What a camera can be asked to do: methods of `HostedCamera`; `LIGHT` and `DARKEN` are its `light`."""
 
     OPEN = "open"
     ARM = "arm"
@@ -38,9 +47,9 @@ class Call:
     """To the process: do something with a camera."""
 
     number: int
-    settings: GigeCameraSettings
+    settings: CameraSettings
     doing: Doing
-    last: DiscoveredCamera | None  # as it was found the last time
+    last: Any  # where it was found the last time, of the library's own type; None: never
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +60,7 @@ class Opened:
     memory: int  # its number
     slot_bytes: int
     n_slots: int
-    found: DiscoveredCamera | None
+    found: Any  # where it was found, for the next time
     sockets: Sequence[Address]  # all of the process; one of them is in control of this camera
 
 

@@ -12,12 +12,14 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
+from typing import Any
 
 from drivers import gvcp
 from drivers.camera_process.frame_memory import MAX_HELD, FilledSlots
 from drivers.camera_process.messages import (
     Address,
     Call,
+    CameraSettings,
     Delivered,
     Doing,
     FrameHere,
@@ -30,7 +32,6 @@ from drivers.camera_process.messages import (
     receive,
     send,
 )
-from drivers.cameras.genicam import GigeCameraSettings
 from drivers.errors import CameraUnavailableError, LossCause
 from drivers.interfaces import CameraLost, CameraProcessStatus, CameraVitals, ProcessState
 from drivers.outlet import Outlet
@@ -83,13 +84,16 @@ class Pulse:
 class CameraProcess:
     """Starts the process with the first camera that is opened, and again when it has died, until `close`.
 
-    All cameras are lost with it, and those that were armed are told of. Thread-safe.
+    `factory`, as `module:name`, makes each camera there: of its settings, of the memory that it receives into, and of
+    where it was found the last time. All cameras are lost with the process, and those that were armed are told of.
+    Thread-safe.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, factory: str) -> None:
+        self._factory = factory
         self._lock = threading.Lock()
         self._outlets: dict[CameraId, Outlet] = {}
-        self._found: dict[CameraId, gvcp.DiscoveredCamera] = {}  # the last time
+        self._found: dict[CameraId, Any] = {}  # the last time
         self._life: _Life | None = None
         self._is_closed = False
         self._pulse = Pulse()  # of the process that sent the latest heartbeat
@@ -119,7 +123,7 @@ class CameraProcess:
         """Deliver a camera's events there."""
         self._outlets[camera] = outlet
 
-    def call(self, settings: GigeCameraSettings, doing: Doing) -> Result:
+    def call(self, settings: CameraSettings, doing: Doing) -> Result:
         """Have the process do something with a camera; only to open one starts it.
 
         Raises
@@ -157,7 +161,7 @@ class CameraProcess:
         """Start a process; the lock is held."""
         here, there = connection()
         with there:
-            command = [sys.executable, "-P", "-m", SERVER, str(there.fileno())]
+            command = [sys.executable, "-P", "-m", SERVER, str(there.fileno()), self._factory]
             process = subprocess.Popen(  # noqa: S603 - our own module
                 command, pass_fds=[there.fileno()], stdin=subprocess.DEVNULL
             )
@@ -191,7 +195,8 @@ class CameraProcess:
             log.error("%s after_s=%.1f", reason, lived_s)
             self._n_replaced += 1
             self._last_end = reason, time.monotonic()
-            gvcp.release_control([found.address for found in self._found.values()], [*life.sockets])
+            found = [each for each in self._found.values() if isinstance(each, gvcp.DiscoveredCamera)]
+            gvcp.release_control([each.address for each in found], [*life.sockets])
         with self._lock:
             self._life = None
             life.end.close()
@@ -242,9 +247,7 @@ class _Life:
                 self.process.kill()
         return receive(self.end)
 
-    def call(
-        self, settings: GigeCameraSettings, doing: Doing, last: gvcp.DiscoveredCamera | None
-    ) -> Future[Result]:
+    def call(self, settings: CameraSettings, doing: Doing, last: Any) -> Future[Result]:
         """Call for something, not by two threads at the same time; the call fails with the process."""
         self._n_calls += 1
         called: Future[Result] = Future()

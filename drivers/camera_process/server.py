@@ -1,7 +1,8 @@
 """The process `stonefall-cams`: it does what the daemon calls for, with the library of the cameras.
 
-Started by `CameraProcess` with the number of its end of the connection. When the other end is gone, killed or not, it
-closes all cameras, so that whoever comes next need not wait until their heartbeats end, and ends itself.
+Started by `CameraProcess` with the number of its end of the connection and the name of what makes a camera. When the
+other end is gone, killed or not, it closes all cameras, so that whoever comes next need not wait until their
+heartbeats end, and ends itself.
 """
 
 import signal
@@ -10,14 +11,18 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
+from typing import Any, Protocol
 
 from drivers.camera_process.frame_memory import MAX_HELD, ON_THE_WAY, SlotsToFill
 from drivers.camera_process.messages import (
     HEARTBEAT_S,
     Call,
+    CameraSettings,
     Delivered,
     Doing,
     FrameHere,
@@ -28,16 +33,33 @@ from drivers.camera_process.messages import (
     receive,
     send,
 )
-from drivers.cameras.aravis import AravisCamera
+from drivers.cameras.frame_reader import Allocate
 from drivers.cameras.stream_socket import udp_sockets
 from drivers.errors import CameraUnavailableError
-from drivers.interfaces import CameraVitals, DeviceEvent
+from drivers.interfaces import Camera, CameraVitals, DeviceEvent
 from pipeline.frames import CameraId, Frame
 
 PROCESS_NAME = "stonefall-cams"
 """Name of the process in `ps` and `top`, which show 15 characters."""
 MAX_CALLS = 64
 """Calls at the same time, each of which may block for seconds."""
+
+
+class HostedCamera(Camera, Protocol):
+    """A camera of the library that runs here."""
+
+    @property
+    def found(self) -> Any:
+        """Where it was found when it was opened, pickled; it may be looked for there first the next time."""
+        ...
+
+    def software_trigger(self) -> None:
+        """Expose now; raises `CameraUnavailableError`."""
+        ...
+
+
+Factory = Callable[[CameraSettings, Allocate, Any], HostedCamera]
+"""Makes a camera of its settings, of the memory for its buffers, and of where it was found the last time."""
 
 
 def main() -> None:
@@ -48,10 +70,11 @@ def main() -> None:
         signal.SIGTERM,
     ):  # meant for the daemon, which ends this process in its turn
         signal.signal(number, signal.SIG_IGN)
-    serve(socket.socket(fileno=int(sys.argv[1])))
+    module, _, name = sys.argv[2].partition(":")
+    serve(socket.socket(fileno=int(sys.argv[1])), getattr(import_module(module), name))
 
 
-def serve(end: socket.socket) -> None:
+def serve(end: socket.socket, make: Factory) -> None:
     """Do what is called for over this end of a connection until the other one is closed; then close all cameras."""
     cameras: dict[CameraId, ServedCamera] = {}
     threading.Thread(target=beat, args=(end,), name="heartbeat", daemon=True).start()
@@ -60,7 +83,7 @@ def serve(end: socket.socket) -> None:
             match received[0]:
                 case Call() as call:
                     if (name := call.settings.id) not in cameras:
-                        cameras[name] = ServedCamera(call, end)
+                        cameras[name] = ServedCamera(call, end, make)
                     calls.submit(cameras[name].answer, call)
                 case SlotsFree(slots=slots):
                     for name, memory, slot in slots:
@@ -80,8 +103,8 @@ def beat(end: socket.socket) -> None:
 class ServedCamera:
     """A camera with the memory that it receives into, and the sink that tells the daemon of its events."""
 
-    def __init__(self, first: Call, end: socket.socket) -> None:
-        self.device = AravisCamera(first.settings, lambda n_bytes: self._slots.take(n_bytes), first.last)
+    def __init__(self, first: Call, end: socket.socket, make: Factory) -> None:
+        self.device = make(first.settings, lambda n_bytes: self._slots.take(n_bytes), first.last)
         self._n_slots = first.settings.n_buffers + MAX_HELD + ON_THE_WAY
         self._end = end
         self._slots = SlotsToFill(self._n_slots)  # those of the latest opening

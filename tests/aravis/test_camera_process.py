@@ -22,13 +22,14 @@ from drivers.camera_process.frame_memory import MAX_HELD, ON_THE_WAY
 from drivers.camera_process.process import CameraProcess
 from drivers.cameras.aravis import AravisCamera
 from drivers.errors import CameraUnavailableError, LossCause
+from drivers.factory import ARAVIS
 from drivers.interfaces import CameraLost, CameraProcessStatus, ProcessState
 from pipeline.frames import Frame
 
 
 @pytest.fixture
 def process() -> Iterator[CameraProcess]:
-    process = CameraProcess()
+    process = CameraProcess(ARAVIS)
     yield process
     process.close()
 
@@ -176,7 +177,8 @@ def test_it_ends_with_its_daemon_and_leaves_the_cameras_to_the_next_one() -> Non
             from support.sinks import Collector
             from drivers.camera_process.camera import RemoteCamera
             from drivers.camera_process.process import CameraProcess
-            process = CameraProcess()
+            from drivers.factory import ARAVIS
+            process = CameraProcess(ARAVIS)
             camera = RemoteCamera(settings_for(design(), address={simulated.design.address!r}), process)
             camera.open()
             camera.arm(Collector())

@@ -17,7 +17,7 @@ from support.sinks import Collector
 
 from drivers.camera_process.process import CameraProcess
 from drivers.errors import CameraUnavailableError, GateUnavailableError
-from drivers.factory import Devices, ReplayBackend, build_devices
+from drivers.factory import ARAVIS, Devices, ReplayBackend, build_devices
 from drivers.faulty.faults import FaultPlan
 from drivers.gates.firing import FiringGate
 from drivers.interfaces import Camera, CameraVitals, LightGate
@@ -71,7 +71,7 @@ def replayed_bench(folder: Path, plan: str) -> Iterator[Bench]:
 
 @contextmanager
 def aravis_bench(where: str) -> Iterator[Bench]:
-    process = None if where == "aravis" else CameraProcess()
+    process = None if where == "aravis" else CameraProcess(ARAVIS)
     with gige_rig(CAMERAS, process) as rig:
         first = rig.simulated[CAMERAS[0]]
         yield Bench(
