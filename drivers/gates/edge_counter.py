@@ -5,7 +5,7 @@ The numbers returned go on over wraps of the gate's 32 bits and over its restart
 
 from dataclasses import dataclass
 
-from drivers.gates.gate_protocol import SEQUENCES
+from drivers.gates.gate_records import SEQUENCES
 
 OUT_OF_ORDER_US = 1_000_000
 """An edge may be sent after a status with a later time; a gate whose time goes back by more was restarted."""

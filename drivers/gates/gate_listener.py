@@ -7,16 +7,15 @@ from dataclasses import astuple, dataclass, replace
 from drivers.gates.edge_counter import EdgeCounter, Step
 from drivers.gates.edge_filter import Began, Bounced, EdgeFilter, Ended, Pulse
 from drivers.gates.gate_clock import GateClock
-from drivers.gates.gate_protocol import (
+from drivers.gates.gate_records import (
     SEQUENCES,
     Edge,
+    GateProtocol,
     Identity,
-    LineSplitter,
     Record,
     Status,
     TestPulse,
     Width,
-    decode,
 )
 from drivers.gates.gate_thread import trigger_at
 from drivers.interfaces import DeviceEvent, PulseEnded, TriggersIgnored, TriggersLost
@@ -54,9 +53,10 @@ class GateListener:
     After `reopen` all lines are ignored until the gate has identified itself: it may be another one.
     """
 
-    def __init__(self, *, baud: int, debounce_ns: int) -> None:
+    def __init__(self, protocol: GateProtocol, *, baud: int, debounce_ns: int) -> None:
+        self._decode = protocol.decode
         self._byte_ns = BITS_A_BYTE * 1_000_000_000 // baud
-        self._lines = LineSplitter()
+        self._lines = protocol.splitter()
         self._counter = EdgeCounter()
         self._clock = GateClock()
         self._filter = EdgeFilter(debounce_ns)
@@ -116,7 +116,7 @@ class GateListener:
         events: list[DeviceEvent] = []
         for line in self._lines.feed(data):
             try:
-                record = decode(line.text)
+                record = self._decode(line.text)
             except ValueError as err:
                 self._counters.garbage += 1
                 log.debug("light gate: garbage: %s", err)

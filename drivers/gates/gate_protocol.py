@@ -33,68 +33,30 @@ control; a board with native USB has no baud rate, tell the host 4000000.
 
 import re
 from binascii import crc_hqx
-from dataclasses import astuple, dataclass
-from typing import Any, Final, NamedTuple
+from dataclasses import astuple
+from typing import Any, Final
+
+from drivers.gates.gate_records import (
+    SEQUENCES,
+    Edge,
+    GateProtocol,
+    Identity,
+    Line,
+    Record,
+    Status,
+    TestPulse,
+    Width,
+)
 
 IDENTIFY: Final = b"?\n"
 TEST_PULSE: Final = b"T\n"
 
-SEQUENCES: Final = 1 << 32
-"""How many values `seq` and `ignored` have before they start again at 0."""
 MAX_LINE_BYTES: Final = 128
 """No record is longer: more bytes without a line end are garbage."""
 
 _LINE = re.compile(rb"\$([^$*]*)\*([0-9A-F]{4})")
 _NUMBER = re.compile(r"0|[1-9][0-9]{0,19}", re.ASCII)
 _NAME = re.compile(r"[A-Za-z0-9._+-]{1,32}", re.ASCII)
-
-
-@dataclass(frozen=True, slots=True)
-class Edge:
-    """A stone closed the beam."""
-
-    sequence: int
-    device_us: int
-
-
-@dataclass(frozen=True, slots=True)
-class TestPulse:
-    """The gate triggered the cameras on command."""
-
-    __test__ = False  # not a test of pytest's
-
-    sequence: int
-    device_us: int
-
-
-@dataclass(frozen=True, slots=True)
-class Width:
-    """The beam that closed with `sequence` is open again."""
-
-    sequence: int
-    width_us: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Status:
-    """The state of the gate, sent every second."""
-
-    device_us: int
-    last_sequence: int  # 0 before the first
-    ignored: int  # edges merged since power-on
-    is_blocked: bool
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Identity:
-    """Name, serial number and firmware version of the gate."""
-
-    name: str
-    serial: str
-    version: str
-
-
-Record = Edge | TestPulse | Width | Status | Identity
 
 
 def encode(record: Record) -> bytes:
@@ -146,13 +108,6 @@ def checksum(body: bytes) -> int:
     return crc_hqx(body, 0xFFFF)
 
 
-class Line(NamedTuple):
-    """A line without its line end."""
-
-    text: bytes
-    age_bytes: int  # how many bytes came from its first one on, that included
-
-
 class LineSplitter:
     """Cuts a stream of bytes into lines; each begins at its last ``$``, so that half a line does not spoil the next."""
 
@@ -202,3 +157,7 @@ def _name(field: str) -> str:
     if not _NAME.fullmatch(field):
         raise ValueError(f"not a name: {field!r}")
     return field
+
+
+STONEFALL = GateProtocol(identify=IDENTIFY, test_pulse=TEST_PULSE, splitter=LineSplitter, decode=decode)
+"""This protocol, for the driver."""

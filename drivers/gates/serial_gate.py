@@ -1,4 +1,4 @@
-"""A light gate with a microcontroller on a serial line, which speaks `gate_protocol`."""
+"""A light gate with a microcontroller on a serial line, which speaks `gate_protocol`, or another protocol."""
 
 import termios
 import threading
@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import serial
 
 from drivers.gates.gate_listener import GateCounters, GateListener
-from drivers.gates.gate_protocol import IDENTIFY, TEST_PULSE, Identity
+from drivers.gates.gate_protocol import STONEFALL
+from drivers.gates.gate_records import GateProtocol, Identity
 from drivers.gates.gate_thread import GateThread, port_problem
 from drivers.interfaces import DeviceEvent, EventSink, TriggersLost
 from pipeline.frames import BundleKind, GateCount, Trigger
@@ -58,11 +59,12 @@ class SerialGate:
     armed it, also what it counted until it was armed again. What passes a gate disarmed on purpose is not lost.
     """
 
-    def __init__(self, settings: SerialGateSettings) -> None:
+    def __init__(self, settings: SerialGateSettings, protocol: GateProtocol = STONEFALL) -> None:
         self._settings = settings
+        self._protocol = protocol
         self._thread = GateThread(settings.port)
         self._port: serial.Serial | None = None
-        self._listener = GateListener(baud=settings.baud, debounce_ns=settings.debounce_us * 1000)
+        self._listener = GateListener(protocol, baud=settings.baud, debounce_ns=settings.debounce_us * 1000)
         self._heard = threading.Condition()  # guards the listener and all below
         self._heard_ns = 0
         self._is_owed = False  # the gate was armed and not disarmed before it was lost: report what it counts
@@ -110,7 +112,7 @@ class SerialGate:
         self._thread.start(lambda: self._turn(port))
         deadline_s = time.monotonic() + self._settings.answer_timeout_s
         try:
-            while not self._answers(IDENTIFY, lambda: self._listener.n_statuses, ASK_AGAIN_S):
+            while not self._answers(self._protocol.identify, lambda: self._listener.n_statuses, ASK_AGAIN_S):
                 if self._thread.failure is not None:
                     raise self._thread.error(self._thread.failure)
                 if time.monotonic() > deadline_s:
@@ -141,7 +143,9 @@ class SerialGate:
         """Let the gate trigger the cameras, and wait until it has; raises `GateUnavailableError`."""
         if not self._thread.is_armed:
             raise self._thread.error("is not armed")
-        if not self._answers(TEST_PULSE, lambda: self._listener.counters.test_pulses, TEST_PULSE_S):
+        if not self._answers(
+            self._protocol.test_pulse, lambda: self._listener.counters.test_pulses, TEST_PULSE_S
+        ):
             raise self._thread.error(
                 f"does not answer the command for a test pulse within {TEST_PULSE_S:g} s"
             )

@@ -17,18 +17,8 @@ from functools import partial
 from itertools import count
 from pathlib import Path
 
-from drivers.gates.gate_protocol import (
-    IDENTIFY,
-    SEQUENCES,
-    TEST_PULSE,
-    Edge,
-    Identity,
-    Record,
-    Status,
-    TestPulse,
-    Width,
-    encode,
-)
+from drivers.gates.gate_protocol import IDENTIFY, TEST_PULSE, encode
+from drivers.gates.gate_records import SEQUENCES, Edge, Identity, Record, Status, TestPulse, Width
 from drivers.gige_simulator.gate_faults import GateFaults, damaged
 from drivers.gige_simulator.pseudo_terminal import PseudoTerminal
 

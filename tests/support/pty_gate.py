@@ -6,18 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from drivers.gates.gate_protocol import (
-    IDENTIFY,
-    SEQUENCES,
-    TEST_PULSE,
-    Edge,
-    Identity,
-    Record,
-    Status,
-    TestPulse,
-    Width,
-    encode,
-)
+from drivers.gates.gate_protocol import IDENTIFY, TEST_PULSE, encode
+from drivers.gates.gate_records import SEQUENCES, Edge, Identity, Record, Status, TestPulse, Width
 from drivers.gates.serial_gate import SerialGate, SerialGateSettings
 from drivers.gige_simulator.pseudo_terminal import PseudoTerminal
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from drivers.gates.edge_counter import EdgeCounter
 from drivers.gates.gate_clock import WINDOW_NS, GateClock
 from drivers.gates.gate_listener import GateListener
-from drivers.gates.gate_protocol import SEQUENCES, Edge, Identity, Record, Status, TestPulse, Width, encode
+from drivers.gates.gate_protocol import STONEFALL, encode
+from drivers.gates.gate_records import SEQUENCES, Edge, Identity, Record, Status, TestPulse, Width
 from drivers.interfaces import DeviceEvent, PulseEnded, TriggersIgnored, TriggersLost
 from pipeline.frames import BundleKind, Trigger
 
@@ -23,7 +24,7 @@ class Wire:
     BOOT_NS = 5_000 * MS
 
     def __init__(self, debounce_ms: int = 10) -> None:
-        self.listener = GateListener(baud=BAUD, debounce_ns=debounce_ms * MS)
+        self.listener = GateListener(STONEFALL, baud=BAUD, debounce_ns=debounce_ms * MS)
         self.events: list[DeviceEvent] = []
 
     def hear(self, at_ms: float, *records: Record, late_ms: float = 0) -> list[DeviceEvent]:
@@ -64,7 +65,7 @@ class TestListening:
         assert (ended.sequence, ended.width_ns) == (1, 55 * MS)
 
     def test_utc_is_that_of_the_edge(self) -> None:
-        listener = GateListener(baud=BAUD, debounce_ns=0)
+        listener = GateListener(STONEFALL, baud=BAUD, debounce_ns=0)
         (trigger,) = listener.hear(encode(Edge(1, 2)), time.monotonic_ns() - 3_600_000 * MS)
         assert isinstance(trigger, Trigger)
         hour_ago = time.gmtime(time.time() - 3600)

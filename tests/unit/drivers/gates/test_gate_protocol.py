@@ -2,20 +2,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.gates.gate_protocol import (
-    MAX_LINE_BYTES,
-    SEQUENCES,
-    Edge,
-    Identity,
-    LineSplitter,
-    Record,
-    Status,
-    TestPulse,
-    Width,
-    checksum,
-    decode,
-    encode,
-)
+from drivers.gates.gate_protocol import MAX_LINE_BYTES, LineSplitter, checksum, decode, encode
+from drivers.gates.gate_records import SEQUENCES, Edge, Identity, Record, Status, TestPulse, Width
 
 NUMBERS = st.integers(0, SEQUENCES - 1)
 TIMES_US = st.integers(0, (1 << 64) - 1)

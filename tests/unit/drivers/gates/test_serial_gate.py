@@ -11,7 +11,8 @@ from support.pty_gate import PtyGate, pty_settings, serial_gate
 from support.sinks import Collector
 
 from drivers.errors import GateUnavailableError
-from drivers.gates.gate_protocol import Edge, Identity, encode
+from drivers.gates.gate_protocol import encode
+from drivers.gates.gate_records import Edge, Identity
 from drivers.gates.gate_thread import port_problem
 from drivers.gates.serial_gate import SerialGate, SerialGateSettings
 from drivers.interfaces import GateLost, PulseEnded, TriggersIgnored, TriggersLost

@@ -11,17 +11,8 @@ import pytest
 import serial
 from support.eventually import eventually
 
-from drivers.gates.gate_protocol import (
-    IDENTIFY,
-    TEST_PULSE,
-    Edge,
-    Identity,
-    Record,
-    Status,
-    TestPulse,
-    Width,
-    decode,
-)
+from drivers.gates.gate_protocol import IDENTIFY, TEST_PULSE, decode
+from drivers.gates.gate_records import Edge, Identity, Record, Status, TestPulse, Width
 from drivers.gige_simulator.gate import GateDesign, SimulatedGate
 from drivers.gige_simulator.gate_faults import GateFaults, damaged
 
