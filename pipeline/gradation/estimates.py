@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 from scipy.special import stdtrit
 
+from pipeline.schema import SCHEMA
+
 MIN_EFFECTIVE = 50.0
 """Effective number of stones below which no verdict is given: the interval of so few is not to be trusted."""
 COVERAGE = 0.95
@@ -41,27 +43,35 @@ class Errors(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Estimate:
-    """A figure, its standard errors by cause, and its 95 % interval, all in the unit of the figure."""
+    """A figure with its uncertainty, in the unit of its name."""
+
+    __pydantic_config__ = SCHEMA
 
     state: State
+    """`insufficient`: too few stones for a verdict; `not_measured`: no value."""
     value: float | None = None
-    low: float | None = None  # 95 % interval
+    """Value in the unit of the figure's name; null unless it was measured."""
+    low: float | None = None
+    """Lower end of the 95 % interval."""
     high: float | None = None
-    sampling_se: float | None = None  # other stones might have fallen
-    measuring_se: float | None = None  # random errors of each stone; falls with the number of stones
-    systematic_se: float | None = None  # errors that all stones share; no number of stones lowers it
+    """Upper end of it."""
+    standard_error: float | None = None
+    """Of sampling and measuring together."""
+    sampling_se: float | None = None
+    """Other stones might have fallen."""
+    measuring_se: float | None = None
+    """Random errors of each stone."""
+    systematic_se: float | None = None
+    """Errors that all stones share."""
     n_stones: int = 0
-    n_effective: float = 0.0  # (sum m)² / sum m²: so many equal stones would tell as much
+    """Stones that it rests on."""
+    n_effective: float = 0.0
+    """So many stones of equal mass would tell as much."""
 
     @property
     def errors(self) -> Errors:
         """The standard errors; zero where there is no value."""
         return Errors(self.sampling_se or 0.0, self.measuring_se or 0.0, self.systematic_se or 0.0)
-
-    @property
-    def standard_error(self) -> float | None:
-        """All causes together."""
-        return None if self.value is None else self.errors.joined
 
 
 NOT_MEASURED = Estimate(state=State.NOT_MEASURED)
@@ -82,6 +92,7 @@ def estimate(
         value=value,
         low=interval[0],
         high=interval[1],
+        standard_error=errors.joined,
         sampling_se=errors.sampling,
         measuring_se=errors.measuring,
         systematic_se=errors.systematic,

@@ -6,30 +6,35 @@ from math import sqrt
 
 import numpy as np
 
+from pipeline.schema import SCHEMA
+
 LIMIT_FACTOR = 2.8
 """1.96 sqrt(2): two results differ by less than so many standard deviations in 95 % of cases."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Repeatability:
-    """Standard deviations of a figure: within a group of runs, between groups, and both."""
+    """How far the runs of a sample lie apart in one figure."""
+
+    __pydantic_config__ = SCHEMA
 
     mean: float
+    """Mean of all runs, in the unit of the figure's name."""
     n_groups: int
+    """Groups of runs under equal conditions."""
     n_runs: int
-    repeatability_sd: float  # s_r
-    between_sd: float | None  # s_L; None with one group
-    reproducibility_sd: float | None  # s_R
+    """All runs."""
+    repeatability_sd: float
+    """s_r: of runs under equal conditions."""
+    between_sd: float | None
+    """s_L: between groups, beyond what s_r explains; null with one."""
+    reproducibility_sd: float | None
+    """s_R: both together; null with one group."""
 
-    @property
-    def repeatability_limit(self) -> float:
-        """Least difference of two runs of one group that is remarkable: r."""
-        return LIMIT_FACTOR * self.repeatability_sd
-
-    @property
-    def reproducibility_limit(self) -> float | None:
-        """Least difference of two runs of different groups that is remarkable: R."""
-        return None if self.reproducibility_sd is None else LIMIT_FACTOR * self.reproducibility_sd
+    repeatability_limit: float
+    """r = 2.8 s_r: two runs under equal conditions differ by less, 95 %."""
+    reproducibility_limit: float | None
+    """R = 2.8 s_R; null with one group."""
 
 
 def repeatability(groups: Sequence[Sequence[float]]) -> Repeatability:
@@ -52,11 +57,15 @@ def repeatability(groups: Sequence[Sequence[float]]) -> Repeatability:
         of_means = sum(len(group) * (float(group.mean()) - mean) ** 2 for group in runs) / (n_groups - 1)
         typical_number = (n_runs - float(np.sum(numbers**2)) / n_runs) / (n_groups - 1)
         between_sd = sqrt(max((of_means - within) / typical_number, 0.0))
+    repeatability_sd = sqrt(within)
+    reproducibility_sd = None if between_sd is None else sqrt(between_sd**2 + within)
     return Repeatability(
         mean=mean,
         n_groups=n_groups,
         n_runs=int(n_runs),
-        repeatability_sd=sqrt(within),
+        repeatability_sd=repeatability_sd,
         between_sd=between_sd,
-        reproducibility_sd=None if between_sd is None else sqrt(between_sd**2 + within),
+        reproducibility_sd=reproducibility_sd,
+        repeatability_limit=LIMIT_FACTOR * repeatability_sd,
+        reproducibility_limit=None if reproducibility_sd is None else LIMIT_FACTOR * reproducibility_sd,
     )

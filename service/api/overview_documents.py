@@ -6,12 +6,13 @@ from typing import Any, Literal
 from pydantic import BaseModel, Field
 
 from pipeline.frames import CameraId
+from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.specification import Verdict
 from service.base.schema import TIME
 from service.base.status import AcquisitionStatus, CameraOptics, CameraStatus, DeviceState, Ne107
 from service.health.alarms.alarm import AlarmState
 from service.health.alarms.rules import Priority
-from service.lots.figures import Decision, Figure
+from service.lots.figures import Decision
 from service.results.fields import Outcome, Verified
 
 
@@ -40,7 +41,7 @@ class OverviewDecision(BaseModel):
     index: Literal["FI", "SI"] | None = Field(
         description="Flakiness index (EN 933-3) or shape index (EN 933-4); null: a sieve is judged"
     )
-    percent: Figure = Field(description="Passing by mass, or the index, %")
+    percent: Estimate = Field(description="Passing by mass, or the index, %")
     decision: Decision = Field(description="The verdict, and what would decide it")
 
 
@@ -54,9 +55,9 @@ class OverviewFigures(BaseModel):
     decisions: list[OverviewDecision] = Field(
         description="The same figure by figure: sieves from the coarsest, then the indices"
     )
-    d50_mm: Figure = Field(description="Sieve that half of the mass passes, log-linear between sieves, mm")
-    flakiness_percent: Figure = Field(description="FI, EN 933-3")
-    shape_percent: Figure = Field(description="SI, EN 933-4")
+    d50_mm: Estimate = Field(description="Sieve that half of the mass passes, log-linear between sieves, mm")
+    flakiness_percent: Estimate = Field(description="FI, EN 933-3")
+    shape_percent: Estimate = Field(description="SI, EN 933-4")
     measured: int = Field(description="Stones with a body and its measures")
     n_effective: float = Field(description="So many stones of equal mass would tell as much")
     version: str = Field(description="Changes whenever the curve, its intervals or its verdicts do")

@@ -8,7 +8,7 @@ import json
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime, timedelta
 
 from pipeline.frames import BundleKind, rfc3339
@@ -148,7 +148,7 @@ def _version(figures: LotFigures, lot: str | None) -> str:
     steps = [
         (
             step.sieve_mm,
-            step.passing_percent.model_dump(),
+            asdict(step.passing_percent),
             None if step.decision is None else step.decision.verdict,
         )
         for step in figures.curve

@@ -15,9 +15,9 @@ from service.lots.stored_stones import Choice
 from service.lots.yardsticks import Request
 from service.results.selection import served
 from service.store import ParticleFilter
-from service.store.events import EventsPage, events_after
+from service.store.events import HistoryPage, events_after
 from service.store.particle_files import first_seq
-from service.store.reads import ResultPage, particles, results_after
+from service.store.reads import particles, results_after
 
 Names = tuple[str, ...] | None
 """Fields of a result that are wanted; None: all."""
@@ -136,7 +136,7 @@ def _model_json(model: BaseModel | None) -> bytes | None:
 
 
 def _feed_page(
-    page: ResultPage | EventsPage,
+    page: HistoryPage,
     after: int,
     instance_id: str,
     items: Iterable[Mapping[str, Any]],
@@ -152,11 +152,11 @@ def _feed_page(
     return FeedPage(page.first_seq, page.last_seq, next_after, _page_json(head, items, as_gzip))
 
 
-def _sent(page: ResultPage | EventsPage, after: int, items: Iterable[bytes]) -> FeedPage:
+def _sent(page: HistoryPage, after: int, items: Iterable[bytes]) -> FeedPage:
     return FeedPage(page.first_seq, page.last_seq, _last_of(page, after), b"".join(items))
 
 
-def _last_of(page: ResultPage | EventsPage, after: int) -> int:
+def _last_of(page: HistoryPage, after: int) -> int:
     return int(page.items[-1]["seq"]) if page.items else after
 
 

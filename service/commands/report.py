@@ -13,7 +13,7 @@ from service.base.errors import ServiceError, UsageError
 from service.base.language import Language
 from service.commands.results_file import read_results
 from service.lots.evaluation import figures_of
-from service.lots.products import Product, ProductDefinition
+from service.lots.products import Product
 from service.lots.stored_stones import stones_in
 from service.lots.yardsticks import Request, UnknownYardstickError
 from service.reports.render import render
@@ -35,7 +35,10 @@ def command(
 ) -> None:
     """Write the report of measured results: curve with its interval, indices, verdict, accounting."""
     records = read_results(results)
-    definition = ProductDefinition(
+    product = Product(
+        product=title,
+        version=1,
+        created_at=utc_now(),
         title=title,
         density_kg_m3=density_kg_m3,
         lower_mm=lower_mm,
@@ -43,7 +46,6 @@ def command(
         sieve_set=sieve_set,
         specification=specification,
     )
-    product = Product(product=title, version=1, created_at=utc_now(), definition=definition)
     try:
         figures = figures_of(stones_in(records), Request(), product)
     except UnknownYardstickError as err:

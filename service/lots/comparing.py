@@ -8,13 +8,14 @@ from pydantic import Field
 
 from pipeline.gradation.curve import PERCENTS, passes
 from pipeline.gradation.differences import Difference, difference_of_lots, difference_of_versions, significant
+from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.indices import is_flaky, is_non_cubical
 from pipeline.gradation.influences import Influences, share_influences, size_influences
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.stones import lot_of
 from service.base.status import Report
 from service.lots.evaluation import figures_of
-from service.lots.figures import Figure, LotFigures, named_figures
+from service.lots.figures import LotFigures, named_figures
 from service.lots.lots import find_lot
 from service.lots.products import find_product
 from service.lots.stored_stones import ALL_STONES, Choice, Stones, stones_of_lot
@@ -40,8 +41,8 @@ class ComparedFigure(Report):
     figure: str = Field(
         description="Such as `passing_8_mm_percent`, `d50_mm` (from the stones themselves), `flakiness_percent`"
     )
-    a: Figure = Field(description="Of the first")
-    b: Figure = Field(description="Of the second")
+    a: Estimate = Field(description="Of the first")
+    b: Estimate = Field(description="Of the second")
     difference: float | None = Field(description="b less a; null where one has no value")
     low: float | None = Field(description="Lower end of the 95 % interval of the difference")
     high: float | None = Field(description="Upper end of it")

@@ -10,6 +10,7 @@ from pipeline.frames import rfc3339
 from pipeline.gradation.correlation import correlated
 from pipeline.gradation.curve import curve_of
 from pipeline.gradation.d4791 import RATIOS, Form, Shares
+from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.estimators import sample_of
 from pipeline.gradation.evaluation import Gradation, evaluate
 from pipeline.gradation.sieves import MeasuredRange
@@ -21,7 +22,6 @@ from service.lots.figures import (
     CorrelatedStep,
     CurveStep,
     Decision,
-    Figure,
     FlatAndElongated,
     FlatAndElongatedFraction,
     LotDocument,
@@ -31,7 +31,6 @@ from service.lots.figures import (
     Range,
     ShapeIndices,
     Unmeasured,
-    figure,
 )
 from service.lots.laboratory import Correlation, correlations
 from service.lots.lots import LotRecord, find_lot
@@ -150,10 +149,12 @@ def figures_of(
     )
 
 
-def passing_of(stones: Stones, apertures_mm: Sequence[float], measured: MeasuredRange) -> dict[float, Figure]:
+def passing_of(
+    stones: Stones, apertures_mm: Sequence[float], measured: MeasuredRange
+) -> dict[float, Estimate]:
     """Return the passing by mass at these sieves, percent."""
     sample = sample_of(lot_of(stones.stones), LENGTH_SD_PERCENT / 100)
-    return {point.sieve_mm: figure(point.by_mass) for point in curve_of(sample, apertures_mm, measured)}
+    return {point.sieve_mm: point.by_mass for point in curve_of(sample, apertures_mm, measured)}
 
 
 def countdown(judgement: LotJudgement, rate_per_s: float) -> str:
@@ -205,8 +206,8 @@ def _curve(gradation: Gradation, judgement: LotJudgement | None, rate_per_s: flo
     return [
         CurveStep(
             sieve_mm=point.sieve_mm,
-            passing_percent=figure(point.by_mass),
-            passing_by_number_percent=figure(point.by_number),
+            passing_percent=point.by_mass,
+            passing_by_number_percent=point.by_number,
             decision=_decision(decisions.get(point.sieve_mm), rate_per_s),
         )
         for point in gradation.curve
@@ -224,8 +225,7 @@ def _correlated(lot: Lot, correlation: Correlation, yardstick: Yardstick, scale_
         n_lots=found.n_lots,
         held_out_rmse=found.held_out_rmse,
         curve=[
-            CorrelatedStep(sieve_mm=point.sieve_mm, passing_percent=figure(point.by_mass))
-            for point in seen.curve
+            CorrelatedStep(sieve_mm=point.sieve_mm, passing_percent=point.by_mass) for point in seen.curve
         ],
     )
 
@@ -234,8 +234,8 @@ def _quantiles(gradation: Gradation) -> list[Quantile]:
     return [
         Quantile(
             percent=percent,
-            interpolated_mm=figure(interpolated),
-            exact_mm=figure(gradation.quantiles_exact_mm[percent]),
+            interpolated_mm=interpolated,
+            exact_mm=gradation.quantiles_exact_mm[percent],
         )
         for percent, interpolated in sorted(gradation.quantiles_interpolated_mm.items())
     ]
@@ -244,14 +244,14 @@ def _quantiles(gradation: Gradation) -> list[Quantile]:
 def _indices(gradation: Gradation) -> ShapeIndices:
     indices, d4791 = gradation.indices, gradation.indices.d4791
     return ShapeIndices(
-        fineness_modulus=figure(indices.fineness_modulus),
-        uniformity=figure(indices.uniformity),
-        curvature=figure(indices.curvature),
-        d32_mm=figure(indices.d32_mm),
-        d43_mm=figure(indices.d43_mm),
-        flakiness_percent=figure(indices.flakiness),
-        shape_percent=figure(indices.shape),
-        needle_flaky_percent=figure(indices.needle_flaky),
+        fineness_modulus=indices.fineness_modulus,
+        uniformity=indices.uniformity,
+        curvature=indices.curvature,
+        d32_mm=indices.d32_mm,
+        d43_mm=indices.d43_mm,
+        flakiness_percent=indices.flakiness,
+        shape_percent=indices.shape,
+        needle_flaky_percent=indices.needle_flaky,
         flat_and_elongated=_forms(d4791.whole),
         flat_and_elongated_fractions=[
             FlatAndElongatedFraction(
@@ -268,8 +268,8 @@ def _indices(gradation: Gradation) -> ShapeIndices:
 
 
 def _forms(shares: Shares) -> list[FlatAndElongated]:
-    def figures(form: Form, ratio: int) -> dict[str, Figure]:
-        return {basis: figure(each) for basis, each in shares[form][ratio].items()}
+    def figures(form: Form, ratio: int) -> dict[str, Estimate]:
+        return {str(basis): each for basis, each in shares[form][ratio].items()}
 
     return [
         FlatAndElongated(

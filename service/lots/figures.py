@@ -4,27 +4,11 @@ from collections.abc import Mapping
 
 from pydantic import Field
 
-from pipeline.gradation.estimates import Estimate, State
+from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.specification import Verdict
 from service.base.schema import TIME
 from service.base.status import Report
 from service.lots.lots import LotState
-
-
-class Figure(Report):
-    """A figure with its uncertainty, in the unit of its name."""
-
-    state: State = Field(description="`insufficient`: too few stones for a verdict; `not_measured`: no value")
-    value: float | None = Field(
-        default=None, description="Value in the unit of the figure's name; null unless it was measured"
-    )
-    low: float | None = Field(default=None, description="Lower end of the 95 % interval")
-    high: float | None = Field(default=None, description="Upper end of it")
-    standard_error: float | None = Field(default=None, description="Of sampling and measuring together")
-    sampling_se: float | None = Field(default=None, description="Other stones might have fallen")
-    measuring_se: float | None = Field(default=None, description="Random errors of each stone")
-    systematic_se: float | None = Field(default=None, description="Errors that all stones share")
-    n_effective: float = Field(default=0.0, description="So many stones of equal mass would tell as much")
 
 
 class Range(Report):
@@ -51,8 +35,8 @@ class CurveStep(Report):
     """The gradation at one sieve."""
 
     sieve_mm: float = Field(description="Aperture of the sieve, square holes (EN 933-2, ASTM E11), mm")
-    passing_percent: Figure = Field(description="By mass")
-    passing_by_number_percent: Figure = Field(description="Share of the stones, by number, that pass, %")
+    passing_percent: Estimate = Field(description="By mass")
+    passing_by_number_percent: Estimate = Field(description="Share of the stones, by number, that pass, %")
     decision: Decision | None = Field(description="Null where the specification has no limits")
 
 
@@ -60,7 +44,7 @@ class CorrelatedStep(Report):
     """The gradation at one sieve, as the laboratory's sieves would find it."""
 
     sieve_mm: float = Field(description="Aperture of the sieve, mm")
-    passing_percent: Figure = Field(description="Passing by mass (EN 933-1), %")
+    passing_percent: Estimate = Field(description="Passing by mass (EN 933-1), %")
 
 
 class CorrelatedCurve(Report):
@@ -77,17 +61,17 @@ class Quantile(Report):
     """A size that a share of the mass is smaller than; the two are different figures, and never mixed."""
 
     percent: int = Field(description="Share of the mass, %: 50 is the median D50")
-    interpolated_mm: Figure = Field(description="Log-linear between neighbouring sieves")
-    exact_mm: Figure = Field(description="From the stones themselves")
+    interpolated_mm: Estimate = Field(description="Log-linear between neighbouring sieves")
+    exact_mm: Estimate = Field(description="From the stones themselves")
 
 
 class FlatAndElongated(Report):
     """ASTM D4791 at one ratio, percent: by mass and by number."""
 
     ratio: int = Field(description="Ratio of two dimensions that is judged by, such as 3 for 3:1")
-    flat_percent: Mapping[str, Figure] = Field(description="Method A: width to thickness above the ratio")
-    elongated_percent: Mapping[str, Figure] = Field(description="Method A: length to width above it")
-    flat_and_elongated_percent: Mapping[str, Figure] = Field(
+    flat_percent: Mapping[str, Estimate] = Field(description="Method A: width to thickness above the ratio")
+    elongated_percent: Mapping[str, Estimate] = Field(description="Method A: length to width above it")
+    flat_and_elongated_percent: Mapping[str, Estimate] = Field(
         description="Method B: length to thickness above it"
     )
 
@@ -105,14 +89,14 @@ class FlatAndElongatedFraction(Report):
 class ShapeIndices(Report):
     """Figures of the whole lot beside its curve."""
 
-    fineness_modulus: Figure = Field(description="ASTM C136")
-    uniformity: Figure = Field(description="Cu = D60 / D10")
-    curvature: Figure = Field(description="Cc = D30² / (D10 D60)")
-    d32_mm: Figure = Field(description="ISO 9276-2, mean by surface, of the sieve size")
-    d43_mm: Figure = Field(description="ISO 9276-2, mean by volume, of the sieve size")
-    flakiness_percent: Figure = Field(description="FI, EN 933-3")
-    shape_percent: Figure = Field(description="SI, EN 933-4")
-    needle_flaky_percent: Figure = Field(description="JTG 3432 T 0312")
+    fineness_modulus: Estimate = Field(description="ASTM C136")
+    uniformity: Estimate = Field(description="Cu = D60 / D10")
+    curvature: Estimate = Field(description="Cc = D30² / (D10 D60)")
+    d32_mm: Estimate = Field(description="ISO 9276-2, mean by surface, of the sieve size")
+    d43_mm: Estimate = Field(description="ISO 9276-2, mean by volume, of the sieve size")
+    flakiness_percent: Estimate = Field(description="FI, EN 933-3")
+    shape_percent: Estimate = Field(description="SI, EN 933-4")
+    needle_flaky_percent: Estimate = Field(description="JTG 3432 T 0312")
     flat_and_elongated: list[FlatAndElongated] = Field(
         description="ASTM D4791 at each ratio, of all particles together"
     )
@@ -229,7 +213,7 @@ class LotFigures(Report):
     is_replay: bool = Field(description="True when some stones did not fall")
 
 
-def named_figures(figures: LotFigures) -> dict[str, Figure]:
+def named_figures(figures: LotFigures) -> dict[str, Estimate]:
     """Return curve, sizes and indices, with the sieve or the share in their name and the unit at its end."""
     indices = figures.indices
     return {
@@ -238,21 +222,6 @@ def named_figures(figures: LotFigures) -> dict[str, Figure]:
         **{
             name: value
             for name in type(indices).model_fields
-            if isinstance(value := getattr(indices, name), Figure)
+            if isinstance(value := getattr(indices, name), Estimate)
         },
     }
-
-
-def figure(estimate: Estimate) -> Figure:
-    """Return an estimate as it is served."""
-    return Figure(
-        state=estimate.state,
-        value=estimate.value,
-        low=estimate.low,
-        high=estimate.high,
-        standard_error=estimate.standard_error,
-        sampling_se=estimate.sampling_se,
-        measuring_se=estimate.measuring_se,
-        systematic_se=estimate.systematic_se,
-        n_effective=estimate.n_effective,
-    )

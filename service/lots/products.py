@@ -11,7 +11,7 @@ from typing_extensions import TypeAliasType
 
 from drivers.files.times import utc_now
 from service.base.errors import TooManyError
-from service.base.schema import REQUEST, Name
+from service.base.schema import REQUEST, Name, Time, adds_to
 from service.store import audit
 from service.store.schema import transaction
 
@@ -73,13 +73,26 @@ class ProductDefinition:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Product:
+class Product(ProductDefinition):
     """One version of a product."""
 
+    __pydantic_config__ = adds_to(ProductDefinition)
+
     product: str
+    """Id of the product, ISA-95 material definition."""
     version: int
-    created_at: str
-    definition: ProductDefinition
+    """Number of this version, from 1; each change is another one."""
+    created_at: Time
+    """When this version was made, RFC 3339 UTC."""
+
+    @property
+    def definition(self) -> ProductDefinition:
+        return ProductDefinition(**_members(self))
+
+
+def _members(definition: ProductDefinition) -> dict[str, Any]:
+    """Return the fields of a definition by name, each as it is."""
+    return {each.name: getattr(definition, each.name) for each in fields(ProductDefinition)}
 
 
 def save_product(
@@ -100,7 +113,7 @@ def save_product(
         if newest is None and n >= MAX_PRODUCTS:
             raise TooManyError("products", f"there are {MAX_PRODUCTS} products: change one of them")
         version = 1 if newest is None else newest.version + 1
-        saved = Product(product=product, version=version, created_at=utc_now(), definition=definition)
+        saved = Product(**_members(definition), product=product, version=version, created_at=utc_now())
         connection.execute(
             "INSERT INTO products (product, version, definition, created_at) VALUES (?, ?, ?, ?)",
             (product, version, json.dumps(asdict(definition)), saved.created_at),
@@ -142,9 +155,8 @@ def _product(row: tuple[str, int, str, str] | None) -> Product | None:
     if row is None:
         return None
     product, version, created_at, text = row
-    return Product(
-        product=product, version=version, created_at=created_at, definition=definition_of(json.loads(text))
-    )
+    definition = definition_of(json.loads(text))
+    return Product(**_members(definition), product=product, version=version, created_at=created_at)
 
 
 def definition_of(document: Mapping[str, Any]) -> ProductDefinition:

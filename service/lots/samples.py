@@ -7,6 +7,7 @@ from enum import StrEnum
 
 from pipeline.gradation.repeatability import Repeatability, repeatability
 from service.base.errors import ServiceError
+from service.base.schema import ANSWER
 from service.lots.evaluation import figures_of
 from service.lots.figures import LotFigures, named_figures
 from service.lots.lots import LotRecord, LotState, lots_of_sample
@@ -30,21 +31,32 @@ class Conditions(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """A lot that is one run of the sample, and the conditions that it was made under."""
+    """A lot that is a run of the sample."""
+
+    __pydantic_config__ = ANSWER
 
     lot: str
+    """Id of the lot."""
     group: str
+    """Runs of equal conditions have the same."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampleStudy:
-    """All runs of a sample, oldest first, and the scatter of every figure that all of them have."""
+    """Repeatability and reproducibility from repeated runs of one sample (ISO 5725-2)."""
+
+    __pydantic_config__ = ANSWER
 
     sample_id: str
+    """Id of the laboratory sample."""
     product: str
-    version: int
+    """Of the newest run; all are measured by it."""
+    product_version: int
+    """Version of the product."""
     runs: list[Run]
+    """Oldest first."""
     figures: Mapping[str, Repeatability]
+    """By name, in the unit at its end; figures that every run has."""
 
 
 def sample_study(
@@ -76,7 +88,11 @@ def sample_study(
     except ValueError as err:
         raise RunsTooFewError(f"sample {sample_id}: {err}: a group has the same {conditions}") from err
     return SampleStudy(
-        sample_id=sample_id, product=newest.product, version=newest.version, runs=runs, figures=figures
+        sample_id=sample_id,
+        product=newest.product,
+        product_version=newest.version,
+        runs=runs,
+        figures=figures,
     )
 
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from itertools import groupby
 from math import isfinite, log
 
-from pipeline.gradation.estimates import State
+from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.specification import Verdict
-from service.lots.figures import CurveStep, Figure
+from service.lots.figures import CurveStep
 from service.reports.drawing import (
     LABEL_SIZE,
     Anchor,
@@ -44,7 +44,7 @@ class Beside:
 
     first_name: str  # what the first curve is called now that there are two
     name: str
-    passing_percent: Mapping[float, Figure]  # by sieve, mm
+    passing_percent: Mapping[float, Estimate]  # by sieve, mm
 
 
 def gradation_curve(
@@ -249,7 +249,7 @@ def _square(x: float, y: float, style: Style) -> Area:
     return Area(((x - 3, y - 3), (x + 3, y - 3), (x + 3, y + 3), (x - 3, y + 3)), style)
 
 
-def _on_axes(beside: Beside, axes: _Axes) -> list[tuple[float, Figure]]:
+def _on_axes(beside: Beside, axes: _Axes) -> list[tuple[float, Estimate]]:
     """Return the figures of the other stones that have a value, at the sieves that are shown."""
     return [
         (size_mm, figure)
@@ -258,7 +258,7 @@ def _on_axes(beside: Beside, axes: _Axes) -> list[tuple[float, Figure]]:
     ]
 
 
-def _beside_band(others: Sequence[tuple[float, Figure]], axes: _Axes) -> Iterator[Shape]:
+def _beside_band(others: Sequence[tuple[float, Estimate]], axes: _Axes) -> Iterator[Shape]:
     if len(others) > 1:
         low = [axes.point(size_mm, figure.low or 0.0) for size_mm, figure in others]
         high = [axes.point(size_mm, figure.high or 0.0) for size_mm, figure in others]
@@ -355,7 +355,7 @@ def _description(shown: Sequence[CurveStep], words: Words) -> str:
     )
 
 
-def _description_beside(others: Sequence[tuple[float, Figure]], beside: Beside | None, words: Words) -> str:
+def _description_beside(others: Sequence[tuple[float, Estimate]], beside: Beside | None, words: Words) -> str:
     if beside is None:
         return ""
     passing = ", ".join(

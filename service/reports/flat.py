@@ -3,7 +3,8 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from service.lots.figures import Decision, Figure, FlatAndElongated
+from pipeline.gradation.estimates import Estimate
+from service.lots.figures import Decision, FlatAndElongated
 from service.reports.report import ReportData, Scalar
 
 
@@ -16,7 +17,7 @@ class Row:
     sieve_mm: float | None = None
     value: Scalar = None
     unit: str | None = None
-    figure: Figure | None = None  # with interval and errors; its value is `value`
+    figure: Estimate | None = None  # with interval and errors; its value is `value`
     decision: Decision | None = None
 
 
@@ -76,7 +77,7 @@ def index_rows(data: ReportData) -> Iterator[Row]:
         "shape_percent": figures.shape_decision,
     }
     for name, value in figures.indices:
-        if isinstance(value, Figure):
+        if isinstance(value, Estimate):
             unit = "%" if name.endswith("_percent") else "mm" if name.endswith("_mm") else None
             yield _figure_row("indices", name, value, unit, decisions.get(name))
     found = figures.indices
@@ -149,7 +150,7 @@ def about_rows(data: ReportData) -> Iterator[Row]:
 def _figure_row(
     section: str,
     name: str,
-    figure: Figure,
+    figure: Estimate,
     unit: str | None,
     decision: Decision | None = None,
     sieve_mm: float | None = None,

@@ -1,8 +1,8 @@
 """The figures of a lot as tables: gradation, indices, and the laboratory's beside the instrument's."""
 
-from pipeline.gradation.estimates import State
+from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.specification import Verdict
-from service.lots.figures import CurveStep, Decision, Figure, Quantile, ShapeIndices
+from service.lots.figures import CurveStep, Decision, Quantile, ShapeIndices
 from service.reports.curve import gradation_curve
 from service.reports.document import DASH, Block, Column, Note, Picture, Section, Table
 from service.reports.report import LaboratorySieving, ReportData
@@ -19,7 +19,7 @@ def limits(decision: Decision | None, say: Words) -> str:
     return texts[0] if low == high else " – ".join(texts)
 
 
-def with_interval(figure: Figure | None, decimals: int, say: Words) -> str:
+def with_interval(figure: Estimate | None, decimals: int, say: Words) -> str:
     """Return a figure with its 95 % interval in brackets."""
     if figure is None or figure.value is None:
         return say("state.not_measured")
@@ -80,7 +80,7 @@ def _step_verdict(step: CurveStep) -> Verdict | None:
     return None if step.decision is None else step.decision.verdict
 
 
-def verdict_word(decision: Decision | None, figure: Figure, say: Words) -> str:
+def verdict_word(decision: Decision | None, figure: Estimate, say: Words) -> str:
     """Return the verdict on a figure; without limits what kept it from being measured, if anything did."""
     if decision is not None:
         return say.known("verdict", decision.verdict)
@@ -230,7 +230,7 @@ def laboratory(sieving: LaboratorySieving, data: ReportData, say: Words) -> Sect
     return Section(say("laboratory.title"), (Note(about), table, Note(correlated)))
 
 
-def _difference(figure: Figure | None, percent: float, say: Words) -> str:
+def _difference(figure: Estimate | None, percent: float, say: Words) -> str:
     if figure is None or figure.value is None:
         return DASH
     return say.number(figure.value - percent, 1)

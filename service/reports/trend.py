@@ -7,9 +7,8 @@ from enum import StrEnum
 from itertools import groupby
 from math import floor, log10
 
-from pipeline.gradation.estimates import State
+from pipeline.gradation.estimates import Estimate, State
 from service.base.language import Language
-from service.lots.figures import Figure
 from service.lots.trends.diary import DiaryEntry
 from service.lots.trends.trend import Trend, TrendBucket
 from service.reports.drawing import (
@@ -164,7 +163,7 @@ def _value(bucket: TrendBucket, figure: TrendFigure, bucket_s: float) -> _Value:
     )
 
 
-def _figure(bucket: TrendBucket, figure: TrendFigure) -> Figure:
+def _figure(bucket: TrendBucket, figure: TrendFigure) -> Estimate:
     if figure is TrendFigure.D50:
         return bucket.d50_mm
     return bucket.flakiness_percent if figure is TrendFigure.FLAKINESS else bucket.shape_percent

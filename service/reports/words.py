@@ -8,8 +8,8 @@ from functools import cache
 from math import isfinite
 from pathlib import Path
 
+from pipeline.gradation.estimates import Estimate
 from service.base.language import Language
-from service.lots.figures import Figure
 from service.reports.texts import LONGEST_HEADING, abridged
 
 FOLDER = Path(__file__).with_name("words")
@@ -44,11 +44,11 @@ class Words:
         """Return the size of a sieve as it is named: 8, 31.5, 0.063."""
         return f"{size_mm:.6g}".replace(".", self("number.decimal_mark"))
 
-    def estimate(self, figure: Figure, decimals: int) -> str:
+    def estimate(self, figure: Estimate, decimals: int) -> str:
         """Return the value of a figure, or that it was not measured."""
         return self.number(figure.value, decimals)
 
-    def interval(self, figure: Figure, decimals: int) -> str:
+    def interval(self, figure: Estimate, decimals: int) -> str:
         """Return the 95 % interval of a figure; a dash without one."""
         if figure.low is None or figure.high is None:
             return "–"

@@ -8,7 +8,8 @@ from math import isfinite
 from xlsxwriter import Workbook
 from xlsxwriter.worksheet import Worksheet
 
-from service.lots.figures import Decision, Figure, FlatAndElongated
+from pipeline.gradation.estimates import Estimate
+from service.lots.figures import Decision, FlatAndElongated
 from service.reports.content import document_of
 from service.reports.document import Facts, Note
 from service.reports.evidence import calibration, uncertainty, versions
@@ -89,7 +90,7 @@ def _created(data: ReportData) -> datetime:
         return datetime(2000, 1, 1)
 
 
-def _figure(figure: Figure, decision: Decision | None, say: Words) -> tuple[Scalar, ...]:
+def _figure(figure: Estimate, decision: Decision | None, say: Words) -> tuple[Scalar, ...]:
     """Return the cells of a figure; that of a value that was not measured is empty: a chart takes a text for 0."""
     decided: tuple[Scalar, ...] = (None, None, say.known("state", figure.state))
     if decision is not None:
@@ -156,7 +157,7 @@ def _indices(sheets: _Sheets, data: ReportData, say: Words) -> None:
     figures, found = data.figures, data.figures.indices
     head = (say("indices.index"), say("indices.value"), *_figure_head(say))
     sheet = sheets.add(say("xlsx.indices"), head, (52, 14, 12, 12, 14, 14, 12, 12, 18))
-    named: list[tuple[str, Figure, Decision | None]] = [
+    named: list[tuple[str, Estimate, Decision | None]] = [
         (say("indices.flakiness"), found.flakiness_percent, figures.flakiness_decision),
         (say("indices.shape"), found.shape_percent, figures.shape_decision),
         (say("indices.needle_flaky"), found.needle_flaky_percent, None),
@@ -181,10 +182,10 @@ def _indices(sheets: _Sheets, data: ReportData, say: Words) -> None:
 
 def _forms(
     of: str, forms: Iterable[FlatAndElongated], say: Words
-) -> Iterator[tuple[str, Figure, Decision | None]]:
+) -> Iterator[tuple[str, Estimate, Decision | None]]:
     """Yield the shares of ASTM D4791, `of` all particles or some."""
     for form in forms:
-        kinds: Mapping[str, Mapping[str, Figure]] = {
+        kinds: Mapping[str, Mapping[str, Estimate]] = {
             "d4791.flat": form.flat_percent,
             "d4791.elongated": form.elongated_percent,
             "d4791.flat_and_elongated": form.flat_and_elongated_percent,

@@ -1,6 +1,6 @@
 """The result store: every trigger's outcome, durable before it is visible; SQLite with one writer, and files."""
 
-from service.store.reads import ParticleFilter, Record, ResultPage
+from service.store.reads import ParticleFilter, Record
 from service.store.schema import read
 from service.store.store import KEEP_RAW, Store, open_store
 from service.store.trouble import StoreTrouble
@@ -9,7 +9,6 @@ __all__ = [
     "KEEP_RAW",
     "ParticleFilter",
     "Record",
-    "ResultPage",
     "Store",
     "StoreTrouble",
     "open_store",

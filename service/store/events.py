@@ -56,8 +56,8 @@ class NewEvent:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class EventsPage:
-    """Consecutive events, and the first and last number of all at the same moment."""
+class HistoryPage:
+    """Consecutive events or results, and the first and last number of all at the same moment."""
 
     first_seq: int  # oldest one kept; last_seq + 1 when there is none
     last_seq: int  # 0 before the first
@@ -84,7 +84,7 @@ def event_ends(connection: sqlite3.Connection) -> tuple[int, int]:
     return first_seq, last_seq
 
 
-def events_after(connection: sqlite3.Connection, after: int, limit: int) -> EventsPage:
+def events_after(connection: sqlite3.Connection, after: int, limit: int) -> HistoryPage:
     """Return up to `limit` events after a number, in order."""
     first_seq, last_seq = event_ends(connection)
     rows = connection.execute(
@@ -95,4 +95,4 @@ def events_after(connection: sqlite3.Connection, after: int, limit: int) -> Even
         {"seq": number, "at": at, "type": kind, "subject": subject, "data": json.loads(data)}
         for number, at, kind, subject, data in rows
     ]
-    return EventsPage(first_seq=first_seq, last_seq=last_seq, items=items)
+    return HistoryPage(first_seq=first_seq, last_seq=last_seq, items=items)

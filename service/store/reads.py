@@ -10,19 +10,11 @@ from pipeline.frames import GateCount
 from pipeline.gradation.indices import EN_933_3, MAX_CUBICAL, SHAPE_RANGE_MM
 from service.results.fields import Outcome
 from service.store.accounting import Accounting
+from service.store.events import HistoryPage
 from service.store.particle_files import revision_folder
 
 Record = dict[str, Any]
 """A result as stored: the fields of `service.results.fields.Result`, and any other key."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ResultPage:
-    """Consecutive results of the feed, and the first and last number of the whole feed at the same moment."""
-
-    first_seq: int  # oldest result kept; last_seq + 1 when there is none
-    last_seq: int  # 0 before the first result
-    items: list[Record]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,7 +108,7 @@ def gate_count(connection: sqlite3.Connection) -> tuple[GateCount, int] | None:
     return GateCount(**noted), int(n_since)
 
 
-def results_after(connection: sqlite3.Connection, seq: int, limit: int) -> ResultPage:
+def results_after(connection: sqlite3.Connection, seq: int, limit: int) -> HistoryPage:
     """Return up to `limit` results after `seq`, in order."""
     last_seq, first_seq = connection.execute(
         "SELECT last_seq, min("
@@ -127,7 +119,7 @@ def results_after(connection: sqlite3.Connection, seq: int, limit: int) -> Resul
         f"{FIRST} WHERE results.seq > ?1 UNION ALL {LATER} WHERE revisions.seq > ?1 ORDER BY 1 LIMIT ?2",
         (seq, limit),
     ).fetchall()
-    return ResultPage(first_seq=first_seq, last_seq=last_seq, items=[_record(*row) for row in rows])
+    return HistoryPage(first_seq=first_seq, last_seq=last_seq, items=[_record(*row) for row in rows])
 
 
 def seq_before(connection: sqlite3.Connection, recorded_at: str) -> int:

@@ -22,6 +22,7 @@ from service.base.errors import StoreError
 from service.results.fields import LossReason
 from service.store import audit, backups, history, reads, writes
 from service.store.accounting import Accounting
+from service.store.events import HistoryPage
 from service.store.lock import lock_store
 from service.store.particle_files import RAW, drop_raw, path_of
 from service.store.schema import connect_reader, read
@@ -271,7 +272,7 @@ class Store:
         """Return the counts of one session, or of the whole history."""
         return await self.read(reads.accounting, session)
 
-    async def results_after(self, seq: int, limit: int) -> reads.ResultPage:
+    async def results_after(self, seq: int, limit: int) -> HistoryPage:
         """Return up to `limit` results after `seq`, in order."""
         return await self.read(reads.results_after, seq, limit)
 

@@ -32,7 +32,7 @@ from service.lots.standards import read_standards
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from support.lot_comparison import SETS, Comparison, Figure, comparison, missed
+from support.lot_comparison import SETS, Comparison, Estimate, comparison, missed
 from support.printed import show
 from support.rendered_lots import ALL_CAMERAS, FORM_SHARES, Row, measured_rows
 
@@ -40,7 +40,7 @@ PAIRS = (("c05", "c06"), ("c01", "c15"), ("c09", "c11"), ("c13", "c14"))
 """Cameras that are removed: neighbours, nearly opposite ones, ones that face each other in a layer, two from above."""
 
 
-def figures_table(title: str, figures: Sequence[Figure]) -> Table:
+def figures_table(title: str, figures: Sequence[Estimate]) -> Table:
     """Return the figures beside the truth."""
     found = Table(
         title, "true", "measured", "difference", "sd of measuring", "interval", "holds", title_justify="left"

@@ -11,12 +11,13 @@ import httpx
 import numpy as np
 import pytest
 import trimesh
+from pydantic import TypeAdapter
 from support.outcomes import add, measured
 from support.rest import BOX_MM, FakeControl, app_of, client_of, particle_files
 
 from drivers.files.silhouette_file import write_silhouettes
 from pipeline.frames import CameraId
-from service.api.calipers import CalipersDocument
+from pipeline.measuring.contacts import Contacts
 from service.store import Store
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -38,7 +39,7 @@ async def test_calipers_touch_the_mesh_that_is_served(client: httpx.AsyncClient,
     answer = await client.get("/particles/1/calipers")
     assert answer.status_code == 200, answer.text
     assert answer.headers["Content-Type"] == "application/json"
-    found = CalipersDocument.model_validate_json(answer.content, strict=True)
+    found = TypeAdapter(Contacts).validate_json(answer.content, strict=True)
     path = tmp_path / "served.ply"
     path.write_bytes((await client.get("/particles/1/mesh.ply")).content)
     vertices = np.asarray(trimesh.load_mesh(path).vertices)
@@ -48,7 +49,7 @@ async def test_calipers_touch_the_mesh_that_is_served(client: httpx.AsyncClient,
     assert found.volume_mm3 == pytest.approx(np.prod(BOX_MM))
     assert found.center_mm == pytest.approx([0, 0, 0], abs=1e-9)
     calipers = (found.length, found.width, found.thickness, found.max_feret, found.min_feret)
-    for point in [place for each in calipers for place in (each.a_mm, each.b_mm)] + found.sieve.touches_mm:
+    for point in [place for each in calipers for place in (each.a_mm, each.b_mm)] + [*found.sieve.touches_mm]:
         assert np.linalg.norm(vertices - point, axis=1).min() < 1e-3
     assert len(found.sieve.corners_mm) == 4
 

@@ -7,12 +7,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.gradation.estimates import State
+from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.specification import Verdict
 from service.lots.figures import (
     CurveStep,
     Decision,
-    Figure,
     FlatAndElongated,
     FlatAndElongatedFraction,
     LotDocument,
@@ -35,12 +34,12 @@ from service.reports.report import (
     VerificationOutcome,
 )
 
-NOT_MEASURED = Figure(state=State.NOT_MEASURED)
+NOT_MEASURED = Estimate(state=State.NOT_MEASURED)
 
 
-def measured(value: float, standard_error: float = 1.0, state: State = State.MEASURED) -> Figure:
+def measured(value: float, standard_error: float = 1.0, state: State = State.MEASURED) -> Estimate:
     """A figure with an interval of two standard errors."""
-    return Figure(
+    return Estimate(
         state=state,
         value=value,
         low=value - 2 * standard_error,
@@ -60,7 +59,7 @@ def decision(
     return Decision(verdict=verdict, limits=limits, more_stones=more_stones, more_s=more_s)
 
 
-def step(sieve_mm: float, passing: Figure, decided: Decision | None = None) -> CurveStep:
+def step(sieve_mm: float, passing: Estimate, decided: Decision | None = None) -> CurveStep:
     """One sieve; half as much passes again by number."""
     by_number = passing if passing.value is None else measured(min(100.0, 1.2 * passing.value), 0.8)
     return CurveStep(

@@ -30,7 +30,7 @@ from service.lots.laboratory import (
 )
 from service.lots.lots import find_lot
 from service.lots.products import find_product
-from service.lots.samples import Conditions, RunsTooFewError, sample_study
+from service.lots.samples import Conditions, RunsTooFewError, SampleStudy, sample_study
 from service.store import read
 
 router = APIRouter(tags=["laboratory"])
@@ -123,40 +123,6 @@ class Correlations(BaseModel):
     items: list[CorrelationDocument] = Field(description="Newest first")
 
 
-class Scatter(BaseModel):
-    """How far the runs of a sample lie apart in one figure."""
-
-    mean: float = Field(description="Mean of all runs, in the unit of the figure's name")
-    repeatability_sd: float = Field(description="s_r: of runs under equal conditions")
-    between_sd: float | None = Field(
-        description="s_L: between groups, beyond what s_r explains; null with one"
-    )
-    reproducibility_sd: float | None = Field(description="s_R: both together; null with one group")
-    repeatability_limit: float = Field(
-        description="r = 2.8 s_r: two runs under equal conditions differ by less, 95 %"
-    )
-    reproducibility_limit: float | None = Field(description="R = 2.8 s_R; null with one group")
-
-
-class RunDocument(BaseModel):
-    """A lot that is a run of the sample."""
-
-    lot: str = Field(description="Id of the lot")
-    group: str = Field(description="Runs of equal conditions have the same")
-
-
-class RepeatabilityDocument(BaseModel):
-    """Repeatability and reproducibility from repeated runs of one sample (ISO 5725-2)."""
-
-    sample_id: str = Field(description="Id of the laboratory sample")
-    product: str = Field(description="Of the newest run; all are measured by it")
-    product_version: int = Field(description="Version of the product")
-    runs: list[RunDocument] = Field(description="Oldest first")
-    figures: dict[str, Scatter] = Field(
-        description="By name, in the unit at its end; figures that every run has"
-    )
-
-
 @router.post(
     "/lots/{lot}/sieving",
     status_code=201,
@@ -219,7 +185,6 @@ async def list_correlations(context: Context, product: ProductName) -> dict[str,
 
 @router.get(
     "/repeatability",
-    response_model=RepeatabilityDocument,
     dependencies=READABLE,
     responses=problem_responses(404, 409, 422),
 )
@@ -230,32 +195,15 @@ async def get_repeatability(
     conditions: Annotated[
         Conditions, Query(description="What runs under equal conditions have in common")
     ] = Conditions.DAY,
-) -> RepeatabilityDocument:
+) -> SampleStudy:
     """Compare the closed lots that are runs of one sample: the same stones dropped again, by others, elsewhere."""
     try:
-        found = await context.reading.run(
+        found: SampleStudy | None = await context.reading.run(
             read, context.store.path, sample_study, sample_id, conditions, measuring
         )
     except RunsTooFewError as err:
         raise Problem(409, "too-few-runs", str(err)) from err
-    study = existing(found, "sample", sample_id)
-    return RepeatabilityDocument(
-        sample_id=study.sample_id,
-        product=study.product,
-        product_version=study.version,
-        runs=[RunDocument(lot=run.lot, group=run.group) for run in study.runs],
-        figures={
-            name: Scatter(
-                mean=each.mean,
-                repeatability_sd=each.repeatability_sd,
-                between_sd=each.between_sd,
-                reproducibility_sd=each.reproducibility_sd,
-                repeatability_limit=each.repeatability_limit,
-                reproducibility_limit=each.reproducibility_limit,
-            )
-            for name, each in study.figures.items()
-        },
-    )
+    return existing(found, "sample", sample_id)
 
 
 def _sieving(wanted: SievingRequest) -> Sieving:

@@ -10,7 +10,8 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Request
 from fastapi.responses import Response
 
-from service.api.calipers import CalipersDocument, calipers_json
+from pipeline.measuring.contacts import Contacts
+from service.api.calipers import calipers_json
 from service.api.context import ApiContext, Context
 from service.api.etags import NOT_MODIFIED, Responses, has_version
 from service.api.outlines import outline_svg
@@ -89,7 +90,7 @@ async def mesh_file(
 
 @router.get(
     "/{particle_id}/calipers",
-    response_model=CalipersDocument,
+    response_model=Contacts,
     responses={**NOT_MODIFIED, **problem_responses(404, 410)},
 )
 async def calipers(context: Context, request: Request, particle_id: ParticleKey) -> Response:

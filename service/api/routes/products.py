@@ -1,7 +1,6 @@
 """Products, with what they must be; the sieve sets and specifications that are known by name."""
 
 import sqlite3
-from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Response
@@ -16,7 +15,6 @@ from service.api.feeds import MAX_SEQ
 from service.api.problems import existing, problem_responses
 from service.api.settings import Scope
 from service.base.ids import ID, NEW_ID
-from service.base.schema import Time, adds_to
 from service.lots.products import (
     Product,
     ProductDefinition,
@@ -37,24 +35,10 @@ ProductName = Annotated[str, Path(pattern=ID, description="Id of the product")]
 NewProductName = Annotated[str, Path(pattern=NEW_ID, description="Id of the product")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ProductVersion(ProductDefinition):
-    """One version of a product."""
-
-    __pydantic_config__ = adds_to(ProductDefinition)
-
-    product: str
-    """Id of the product, ISA-95 material definition."""
-    version: int
-    """Number of this version, from 1; each change is another one."""
-    created_at: Time
-    """When this version was made, RFC 3339 UTC."""
-
-
 class ProductsDocument(BaseModel):
     """The newest version of all products, by name."""
 
-    items: list[ProductVersion] = Field(description="Newest versions, by name")
+    items: list[Product] = Field(description="Newest versions, by name")
 
 
 class Standards(BaseModel):
@@ -73,7 +57,7 @@ class Standards(BaseModel):
 )
 async def list_products(context: Context) -> ProductsDocument:
     """Return the newest version of all products."""
-    return ProductsDocument(items=[_document(each) for each in await context.store.read(products)])
+    return ProductsDocument(items=await context.store.read(products))
 
 
 @router.get(
@@ -99,7 +83,7 @@ async def put_product(
     asking: Who,
     response: Response,
     if_match: IfMatch = None,
-) -> ProductVersion:
+) -> Product:
     """Define a product, or change it: a change is a new version, and lots keep theirs."""
     yardstick_of(wanted, Request())  # raises where it cannot be judged
     context.store.require_writable()
@@ -112,12 +96,12 @@ async def put_product(
         change_if_match, if_match, version, save_product, product, wanted, asking
     )
     response.headers["ETag"] = _tag(saved)
-    return _document(saved)
+    return saved
 
 
 @router.get(
     "/{product}",
-    response_model=ProductVersion,
+    response_model=Product,
     dependencies=[Depends(require(Scope.READ))],
     responses={**NOT_MODIFIED, **problem_responses(404)},
 )
@@ -131,15 +115,8 @@ async def product(
     """Return a version of a product; its `ETag` is for `If-Match` of a change."""
     found = existing(await context.store.read(find_product, product, version), "product", product)
     response.headers["ETag"] = _tag(found)
-    return unchanged(request, _tag(found)) or _document(found)
+    return unchanged(request, _tag(found)) or found
 
 
 def _tag(product: Product) -> str:
     return etag(product.product, product.version, product.created_at)
-
-
-def _document(product: Product) -> ProductVersion:
-    members = {each.name: getattr(product.definition, each.name) for each in fields(ProductDefinition)}
-    return ProductVersion(
-        **members, product=product.product, version=product.version, created_at=product.created_at
-    )

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from pipeline.frames import rfc3339
 from pipeline.gradation.curve import Inverse, exact_mm, quantile
-from pipeline.gradation.estimates import NOT_MEASURED
+from pipeline.gradation.estimates import NOT_MEASURED, Estimate
 from pipeline.gradation.estimators import sample_of, share_percent
 from pipeline.gradation.indices import is_flaky, is_non_cubical
 from pipeline.gradation.sieves import MeasuredRange
@@ -16,7 +16,6 @@ from pipeline.gradation.stones import Lot
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
 from service.base.schema import TIME
 from service.base.status import Report
-from service.lots.figures import Figure, figure
 from service.lots.lots import LotState
 from service.lots.trends.diary import DiaryEntry, entries
 from service.lots.trends.stretches import stretch
@@ -41,11 +40,11 @@ class TrendBucket(Report):
         description="Stones that fell, over the whole time of the bucket, 1/min; those of which only the light gate's"
         " counter knows, many in one result, are left out: when each of them fell is not known"
     )
-    d50_mm: Figure = Field(
+    d50_mm: Estimate = Field(
         description="Size that half of the mass is smaller than, from the stones themselves, mm"
     )
-    flakiness_percent: Figure = Field(description="Flakiness index FI, EN 933-3, %")
-    shape_percent: Figure = Field(description="Shape index SI, EN 933-4, %")
+    flakiness_percent: Estimate = Field(description="Flakiness index FI, EN 933-3, %")
+    shape_percent: Estimate = Field(description="Shape index SI, EN 933-4, %")
 
 
 class TrendLot(Report):
@@ -113,14 +112,14 @@ def _bucket(connection: sqlite3.Connection, since: str, until: str, measured: Me
     )
 
 
-def figures_of_trend(lot: Lot, measured: MeasuredRange) -> tuple[Figure, Figure, Figure]:
+def figures_of_trend(lot: Lot, measured: MeasuredRange) -> tuple[Estimate, Estimate, Estimate]:
     """Return D50, flakiness and shape index of some stones."""
     sample = sample_of(lot, LENGTH_SD_PERCENT / 100)
     d50 = quantile(sample, 50, Inverse(size_mm=lambda share: exact_mm(sample.lot, share)), measured)
     return (
-        figure(NOT_MEASURED if d50 is None else d50.size_mm),
-        figure(share_percent(sample, is_flaky(measured))),
-        figure(share_percent(sample, is_non_cubical(measured))),
+        NOT_MEASURED if d50 is None else d50.size_mm,
+        share_percent(sample, is_flaky(measured)),
+        share_percent(sample, is_non_cubical(measured)),
     )
 
 

@@ -32,25 +32,26 @@ def assert_touches(found: Contacts, vertices_mm: Any) -> None:
         heights_mm = vertices @ caliper.direction
         assert np.linalg.norm(caliper.direction) == pytest.approx(1)
         assert np.ptp(heights_mm) == pytest.approx(caliper.value_mm, rel=1e-4), name
-        assert caliper.a_mm @ caliper.direction == pytest.approx(heights_mm.max(), abs=1e-2), name
-        assert caliper.b_mm @ caliper.direction == pytest.approx(heights_mm.min(), abs=1e-2), name
-        for point in (caliper.a_mm, caliper.b_mm):
+        a_mm, b_mm = np.array(caliper.a_mm), np.array(caliper.b_mm)
+        assert a_mm @ caliper.direction == pytest.approx(heights_mm.max(), abs=1e-2), name
+        assert b_mm @ caliper.direction == pytest.approx(heights_mm.min(), abs=1e-2), name
+        for point in (a_mm, b_mm):
             assert np.linalg.norm(vertices - point, axis=1).min() < 1e-9, name
-        assert (caliper.a_mm - caliper.b_mm) @ caliper.direction == pytest.approx(caliper.value_mm), name
-    assert abs(found.length.direction @ found.width.direction) < 1e-9
-    assert abs(found.length.direction @ found.thickness.direction) < 1e-9
-    assert abs(found.width.direction @ found.thickness.direction) < 1e-9
+        assert (a_mm - b_mm) @ caliper.direction == pytest.approx(caliper.value_mm), name
+    axes = np.array([found.length.direction, found.width.direction, found.thickness.direction])
+    assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-9)
     square = found.sieve
-    sides = np.roll(square.corners_mm, -1, axis=0) - square.corners_mm
+    corners_mm = np.array(square.corners_mm)
+    sides = np.roll(corners_mm, -1, axis=0) - corners_mm
     assert np.linalg.norm(sides, axis=1) == pytest.approx(square.value_mm)
     assert sides @ square.direction == pytest.approx(0, abs=1e-9)
     assert abs(sides[0] @ sides[1]) < 1e-9 * square.value_mm**2
     units = sides[:2] / square.value_mm
-    within_mm = (vertices - square.corners_mm[0]) @ units.T
+    within_mm = (vertices - corners_mm[0]) @ units.T
     tolerance_mm = 1e-4 * square.value_mm  # vertices that stand out by less are not of the hull
     assert within_mm.min() >= -tolerance_mm
     assert within_mm.max() <= square.value_mm + tolerance_mm
-    touching = (square.touches_mm - square.corners_mm[0]) @ units.T
+    touching = (np.array(square.touches_mm) - corners_mm[0]) @ units.T
     gaps_mm = np.minimum(touching, square.value_mm - touching)
     assert (gaps_mm.min(axis=1) < 1.01 * TOUCHING_MM).all()
     for side in (0, 1):  # one pair of opposite sides at least is touched on both
