@@ -199,7 +199,7 @@ class Camera(Protocol):
         ...
 
     def examine(self) -> CameraVitals:
-        """Return how an open or armed camera is, after asking the device itself.
+        """Return the vital signs of an open or armed camera, read from the device itself.
 
         Raises
         ------

@@ -91,7 +91,7 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlotsFree:
-    """To the process: nobody looks at these images any more."""
+    """To the process: these images are released, their slots may be filled again."""
 
     slots: Sequence[tuple[CameraId, int, int]]  # with the number of the memory
 

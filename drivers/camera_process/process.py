@@ -71,7 +71,7 @@ class Pulse:
         self._waited_s += min(waited_s, LISTEN_S)
 
     def is_silent(self, now_s: float) -> bool:
-        """Return whether no heartbeat came for longer than `SILENT_S`, so that images may be missing."""
+        """True when no heartbeat came for longer than `SILENT_S`, so that images may be missing."""
         return self._heard_s is not None and now_s - self._heard_s > SILENT_S
 
     @property
@@ -288,7 +288,7 @@ class _Life:
         )
 
     def return_slots(self) -> None:
-        """Tell which images nobody holds any more, also in memory that is used no longer."""
+        """Report released image buffers, those of replaced segments included."""
         freed = [self._freed.popleft() for _ in range(len(self._freed))]
         if freed:
             with suppress(OSError):

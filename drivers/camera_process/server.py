@@ -1,7 +1,7 @@
 """The process `stonefall-cams`: it does what the daemon calls for, with the library of the cameras.
 
 Started by `CameraProcess` with the number of its end of the connection. When the other end is gone, killed or not, it
-closes all cameras, so that whoever comes next need not wait until their heartbeats end, and ends itself.
+closes all cameras, so that the next process need not wait until their heartbeats end, and ends itself.
 """
 
 import signal
@@ -112,7 +112,7 @@ class ServedCamera:
             result = err
         except Exception:  # noqa: BLE001 - the daemon waits for a reply
             result = CameraUnavailableError(self.device.id, traceback.format_exc())
-        with suppress(OSError):  # nobody is there to be told
+        with suppress(OSError):  # the daemon is gone
             send(self._end, Reply(number=call.number, result=result))
 
     def deliver(self, event: DeviceEvent) -> bool:

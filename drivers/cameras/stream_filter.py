@@ -80,7 +80,7 @@ def stream_program(camera_address: str, max_number: int) -> Sequence[Instruction
 
 
 def _distance(skipped: int, at: int, n: int) -> int:
-    """Return how many instructions a jump skips, with `_DROP` for all up to the last of n."""
+    """Return the number of instructions that a jump skips, with `_DROP` for all up to the last of n."""
     return n - 2 - at if skipped == _DROP else skipped
 
 

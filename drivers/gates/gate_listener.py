@@ -95,7 +95,7 @@ class GateListener:
         return 0.0 if self._blocked_since_ns is None else (now_ns - self._blocked_since_ns) / 1e9
 
     def troubles(self, now_ns: int) -> list[str]:
-        """Return what went wrong within the last minute, with the remedy."""
+        """Return the problems of the last minute, each with the remedy."""
         found = []
         late_ns = [late_ns for at_ns, late_ns in self._late_lines if now_ns - at_ns < RECENT_NS]
         if late_ns:
