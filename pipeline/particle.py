@@ -83,7 +83,7 @@ class PipelineParameters:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HullMeasurement:
-    """The visual hull itself, uncorrected, whatever body was measured."""
+    """The visual hull itself, uncorrected, beside the body that was measured."""
 
     volume_mm3: float
     surface_area_mm2: float

@@ -65,7 +65,7 @@ def bulge_share(half_heights: Values, radii: Values) -> float:
 
 @compiled_within
 def smoothness(local: float, bulge: float) -> float:
-    """Return how smooth a place with these shares is: from 0 (corners) to 1 (smooth)."""
+    """Return the smoothness of a place with these shares, from 0 (corners) to 1 (smooth)."""
     return min(max(OFFSET + PER_LOCAL_SHARE * local + PER_BULGE_SHARE * bulge, 0.0), 1.0)
 
 

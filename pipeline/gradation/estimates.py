@@ -91,5 +91,5 @@ def estimate(
 
 
 def standard_errors_to_either_end(degrees_of_freedom: float) -> float:
-    """Return how many standard errors the interval reaches to either side, by Student's t."""
+    """Return the half width of the confidence interval in standard errors, by Student's t."""
     return float(stdtrit(max(degrees_of_freedom, 1.0), (1 + COVERAGE) / 2))

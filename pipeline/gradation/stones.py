@@ -155,7 +155,7 @@ class UnmeasuredMass:
     """What fell and was not measured, beside the mass that was: percent of the measured mass.
 
     `expected_percent` takes each stone for the mean one. `at_most_percent` takes each for the heaviest measured one
-    or a sphere as large as the field of view, whichever is heavier: a clipped stone may be just that large.
+    or a sphere as large as the field of view, the heavier of the two: a clipped stone may be just that large.
     """
 
     n_stones: int
@@ -165,7 +165,7 @@ class UnmeasuredMass:
 
 
 def unmeasured_mass(lot: Lot, largest_mm: float) -> UnmeasuredMass:
-    """Return how much may be missing in the curve; `largest_mm` is the size of the largest stone that is measured."""
+    """Return the mass that may be missing in the curve; `largest_mm` is the largest size that can be measured."""
     counts = tuple(
         UnmeasuredCount(fate=fate, reason=reason, n_stones=n)
         for (fate, reason), n in sorted(lot.counts.items())

@@ -173,7 +173,7 @@ def _updated(known: CameraBackground, image: FloatImage) -> CameraBackground:
 
 
 def _was_cleaned(image: FloatImage, clean: FloatImage | None) -> bool:
-    """Return whether dust that the flat field (H/16, W/16) was learnt with is gone: the flat field must be renewed."""
+    """True when dust that the flat field (H/16, W/16) was learnt with is gone: the flat field must be renewed."""
     return clean is not None and bool(
         np.mean(coarsen(coarsen(image)) > CLEANED_GAIN * np.maximum(clean, 1)) > CLEANED_SHARE
     )

@@ -238,7 +238,7 @@ def _sizes_px(
 
 
 def _fits(shape: Sequence[int | str | None], channels: int) -> bool:
-    """Return whether a shape may be 1 x channels x N x N; what is left open is no number."""
+    """True when a shape may be 1 x channels x N x N; a dimension that is left open is no number."""
     batch, found, height, width = shape
     return (not isinstance(batch, int) or batch == 1) and found == channels and _same(height, width)
 

@@ -90,7 +90,7 @@ def observe_all(
 def observe_optics(
     frame: Frame, background: BackgroundModel, silhouette: Silhouette | None
 ) -> ViewOptics | None:
-    """Return what the frame says about camera, window and light; `None` without a background or without visible wall.
+    """Return the optical figures of a view; `None` without a background or without visible wall.
 
     `silhouette` is what was found in the frame, `None` for an exposure of the empty rig.
     """

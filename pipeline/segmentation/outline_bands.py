@@ -51,7 +51,7 @@ class BandShares(NamedTuple):
 def band_shares(
     labels: GreyImage, corner_uv: tuple[int, int], images: BandImages, max_error: float, clear_contrast: float
 ) -> BandShares:
-    """Return how much of the wall around a body differs by more than `max_error`, and of its rim by less than is clear.
+    """Return the share of the wall around a body that differs by more than `max_error`, and of its rim that is faint.
 
     `labels` (h, w) are the silhouette's, whose pixel (0, 0) is `corner_uv` of the image. `max_error` and
     `clear_contrast` are shares of the expected grey level.

@@ -43,7 +43,7 @@ class Prediction:
         return x + region.left, y + region.top, width, height
 
     def lacks_margin(self, shape: tuple[int, ...]) -> bool:
-        """Return whether the region cuts the body's margin where the image (H, W) goes on."""
+        """True when the region cuts the body's margin where the image (H, W) goes on."""
         region = self.region
         x, y, width, height = cv2.boundingRect(self.body)
         (rows, columns), margin = region.within(shape), _margin(region)

@@ -130,7 +130,7 @@ class BackgroundSegmenter:
         return ViewStatus.OK, (left + u, top + v, width, height)
 
     def thresholds(self, seen: GreyImage, known: CameraBackground) -> Thresholds:
-        """Return what counts as a deviation from the empty view in blocks (H/4, W/4)."""
+        """Return the limits beyond which blocks (H/4, W/4) deviate from the empty view."""
         return Thresholds(
             gain=np.float32(known.gain(seen)),
             min_contrast=np.float32(self.parameters.min_contrast),

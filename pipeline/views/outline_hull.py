@@ -81,7 +81,7 @@ def _fixed_point(points_uv: PointsUV) -> NDArray[np.int32]:
 
 
 def _are_closed(outlines: StackedOutlines) -> Flags:
-    """Tell which outlines (V,) have no gap anywhere; every outline has a point."""
+    """Mark outlines (V,) without any gap; every outline has a point."""
     points_uv, ends = outlines
     previous = np.arange(-1, len(points_uv) - 1)
     previous[ends[:-1]] = ends[1:] - 1
