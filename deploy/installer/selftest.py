@@ -41,7 +41,7 @@ class Expectation:
 
 
 def expectations(records: Iterable[Mapping[str, Any]], reference: Reference) -> list[Expectation]:
-    """Return what is expected of each figure, by true shapes or by results of a measurement."""
+    """Return the expected value and tolerance of each figure, by true shapes or by results of a measurement."""
     return [
         Expectation(
             record["bundle"],
