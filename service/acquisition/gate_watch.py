@@ -70,7 +70,7 @@ class GateWatch:
         self._counted_why = gap.reason
 
     def warnings(self, now_s: float) -> tuple[str, ...]:
-        """Return what is wrong now, with the remedy."""
+        """Return the present troubles of the gate, each with the remedy."""
         n_late, n_counted = self._late.count(now_s), self._counted.count(now_s)
         n_unannounced = self._unannounced.count(now_s) - n_late
         found = []

@@ -89,7 +89,7 @@ class ConflictError(ServiceError):
 
 
 class NotDisarmedError(ServiceError):
-    """The acquisition uses the cameras, so nobody else may."""
+    """The acquisition holds the cameras exclusively."""
 
     def __init__(self, current: AcquisitionState) -> None:
         super().__init__(f"acquisition is {current}: it must be disarmed first")

@@ -1,4 +1,4 @@
-"""`stonefall alarms`: what needs somebody now, and what to do, as a client of a running daemon."""
+"""`stonefall alarms`: the alarms that need attention, and their remedies, as a client of a running daemon."""
 
 import json
 from typing import Annotated

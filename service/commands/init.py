@@ -155,7 +155,7 @@ def _answering(interfaces: tuple[str, ...]) -> list[DiscoveredCamera]:
 def _placed(
     places: Sequence[str], found: Sequence[DiscoveredCamera], *, is_asked: bool
 ) -> dict[str, CameraPlace]:
-    """Return which camera is in which place: as its user name says, else in the order of their addresses."""
+    """Assign cameras to places: by their user names, else in the order of their addresses."""
     by_name = {device.user_name: device for device in found if device.user_name in places}
     others = iter(device for device in found if device.user_name not in places)
     suggested = {place: by_name.get(place) or next(others, None) for place in places}
@@ -218,7 +218,7 @@ def _asked_density() -> float | None:
 
 
 def _missing(file: Path, answers: Answers) -> list[str]:
-    """Return what is missing or wrong, as `check-config` would say it."""
+    """Return the missing and the wrong settings, in the words of `check-config`."""
     absent = [place for place in answers.places if place not in answers.cameras]
     missing = [f"rig.cameras: no camera for {', '.join(absent)}"] if absent else []
     if answers.gate is None:

@@ -74,7 +74,7 @@ def list_(config: Config, as_json: AsJson = False) -> None:
 
 @command.command()
 def revoke(name: Name, config: Config) -> None:
-    """Revoke a key: whoever asks with it is refused from now on."""
+    """Revoke a key: requests with it are refused from now on."""
     settings = load_settings(config)
     _require_not_configured(settings, name)
     revoke_key(settings.store.dir, name, _user())
@@ -82,7 +82,7 @@ def revoke(name: Name, config: Config) -> None:
 
 
 def _described(settings: Settings) -> list[dict[str, Any]]:
-    """Return what is to be told of all keys, without their hashes."""
+    """Describe all keys, without their hashes."""
     now = utc_now()
     never = dict.fromkeys(("created_at", "created_by", "expires_at", "revoked_at", "revoked_by"))
     configured = [
@@ -127,7 +127,7 @@ def _day(time: str | None) -> str | None:
 
 
 def _user() -> str:
-    """Return who runs the command, for the audit."""
+    """Return the user who runs the command, for the audit."""
     try:
         return os.environ.get("SUDO_USER") or getpass.getuser()
     except (KeyError, OSError):  # a user without a name

@@ -1,4 +1,4 @@
-"""One HTTP request that posts a message, bounded in time and memory whatever the other side does.
+"""One HTTP request that posts a message, bounded in time and memory against any behaviour of the other side.
 
 Only a listed host is connected to, at an address that is allowed; no redirect is followed, no proxy asked, and of the
 answer nothing is read but its head.

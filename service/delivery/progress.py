@@ -15,7 +15,7 @@ GIVE_UP_S = 24 * 3600.0
 MIN_PAUSE_S, MAX_ASKED_PAUSE_S = 1.0, 3600.0
 """Pauses that an endpoint can ask for."""
 FAILING_S = 900.0
-"""Time after which somebody should know that an endpoint fails."""
+"""Time without success after which health reports that an endpoint fails."""
 ASKS_TO_WAIT = (HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE)
 
 
@@ -43,14 +43,14 @@ class Progress:
     disabled_at: str | None = None
 
     def pause_s(self, now: datetime) -> float:
-        """Return how long to wait before the next attempt; clocks that were set meanwhile delay it by a day at most."""
+        """Return the time until the next attempt; clocks that were set meanwhile delay it by a day at most."""
         if self.next_attempt_at is None:
             return 0.0
         remaining = datetime.fromisoformat(self.next_attempt_at) - now
         return min(max(remaining.total_seconds(), 0.0), GIVE_UP_S)
 
     def is_failing(self, now: datetime) -> bool:
-        """Return whether it has taken nothing for `FAILING_S`, by its pauses and not by a clock that may be set."""
+        """True when it has taken nothing for `FAILING_S`, by its pauses and not by a clock that may be set."""
         return self.waited_s - self.pause_s(now) >= FAILING_S
 
 

@@ -63,7 +63,7 @@ def begin(connection: sqlite3.Connection, names: Iterable[str]) -> None:
 
 
 def progress_of(connection: sqlite3.Connection, name: str) -> Progress:
-    """Return how far an endpoint is, one that `begin` knows."""
+    """Return the progress of an endpoint, one that `begin` knows."""
     (document,) = connection.execute("SELECT progress FROM webhooks WHERE name = ?", (name,)).fetchone()
     return PROGRESS.validate_json(document)
 
@@ -84,7 +84,7 @@ def next_due(connection: sqlite3.Connection, after: int, types: Sequence[EventTy
 
 
 def n_due(connection: sqlite3.Connection, after: int, types: Sequence[EventType]) -> int:
-    """Return how many events of these types there are after a number."""
+    """Count the events of these types after a number."""
     (number,) = connection.execute(
         f"SELECT count(*) FROM events WHERE seq > ? AND type IN ({_marks(types)})",  # noqa: S608 - question marks
         (after, *types),
@@ -95,9 +95,9 @@ def n_due(connection: sqlite3.Connection, after: int, types: Sequence[EventType]
 def note(
     connection: sqlite3.Connection, name: str, delivery: Delivery, before: Progress, after: Progress
 ) -> Progress:
-    """Note an attempt and what follows from it; return how far the endpoint is.
+    """Note an attempt and what follows from it; return the endpoint's progress.
 
-    What somebody has asked for since `before` holds: then only the attempt is noted.
+    A request since `before`, as to enable it, takes precedence: then only the attempt is noted.
     """
     with transaction(connection):
         _add(connection, name, delivery)

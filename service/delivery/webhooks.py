@@ -129,7 +129,7 @@ class Webhooks:
         return self._endpoints.get(name)
 
     async def status(self, name: str) -> EndpointStatus:
-        """Return how far an endpoint is."""
+        """Return the status of an endpoint."""
         return await self._status_of(self._endpoints[name])
 
     async def _status_of(self, endpoint: WebhookEndpoint) -> EndpointStatus:
@@ -138,7 +138,7 @@ class Webhooks:
         return EndpointStatus(endpoint=endpoint, progress=progress, n_due=n_due)
 
     async def statuses(self) -> list[EndpointStatus]:
-        """Return how far all endpoints are."""
+        """Return the status of all endpoints."""
         return [await self._status_of(endpoint) for endpoint in self._endpoints.values()]
 
     async def enable(self, name: str, who: str) -> None:
@@ -255,7 +255,7 @@ def _trouble(progress: Progress, now: datetime) -> str | None:
 
 
 async def _tls_of(endpoint: WebhookEndpoint, told: _Told) -> ssl.SSLContext | None:
-    """Return what TLS trusts, read once."""
+    """Return the TLS context of an endpoint, read once."""
     if told.tls is None and endpoint.target.scheme == "https":
         told.tls = await asyncio.to_thread(endpoint.tls)
     return told.tls

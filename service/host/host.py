@@ -55,7 +55,7 @@ def ring_of(interface: str) -> Ring | None:
 
 
 def is_clock_synchronised() -> bool | None:
-    """Return what the kernel says of its clock, None if it cannot be asked; changes nothing (`modes` are 0)."""
+    """True when the kernel's clock is synchronised, None if it cannot be asked; changes nothing (`modes` are 0)."""
     with suppress(OSError, AttributeError):
         state = int(ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(TIMEX_BYTES)))
         return None if state < 0 else state != TIME_ERROR

@@ -84,7 +84,7 @@ def stones_of_lot(connection: sqlite3.Connection, lot: str, choice: Choice = ALL
 
 
 def versions_of_lot(connection: sqlite3.Connection, lot: str) -> dict[str, int]:
-    """Return how many stones of a lot each algorithm version has measured, as far as results are kept."""
+    """Return the number of stones of a lot by each algorithm version that measured them, as far as results are kept."""
     rows = connection.execute(
         "SELECT version, count(DISTINCT first) FROM ("
         "SELECT seq AS first, algorithm_version AS version FROM stones WHERE lot = ?1 UNION ALL "
@@ -98,7 +98,7 @@ def versions_of_lot(connection: sqlite3.Connection, lot: str) -> dict[str, int]:
 
 
 def stones_between(connection: sqlite3.Connection, since: str, until: str) -> Stones:
-    """Return the stones captured from `since` to before `until`, in whatever lot."""
+    """Return the stones captured from `since` to before `until`, of any lot."""
     return stones_in(_rows(connection, "captured_at >= ? AND captured_at < ?", since, until))
 
 

@@ -49,7 +49,7 @@ def standards() -> Standards:
 
 
 def yardstick_of(definition: ProductDefinition | None, request: Request) -> Yardstick:
-    """Return what stones of a product are measured by; raise `UnknownYardstickError` where that is not known."""
+    """Return the yardstick of a product; raise `UnknownYardstickError` for an unknown sieve set or specification."""
     sieves = _sieves(request.sieve_set or (definition.sieve_set if definition else DEFAULT_SET))
     return Yardstick(
         sieves=sieves,

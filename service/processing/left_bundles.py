@@ -107,7 +107,7 @@ def bundles_in(folder: Path) -> set[OpenTrigger]:
 
 
 def is_left(path: Path) -> bool:
-    """Return whether a file is one of an earlier session."""
+    """True for a file of an earlier session."""
     return path.name.startswith(PREFIX)
 
 

@@ -43,7 +43,7 @@ def read_order(folder: Path) -> Order:
 
 
 def read_context(order: Order) -> WorkerContext:
-    """Return what all orders of a daemon share."""
+    """Return the context that all orders of a daemon share."""
     return _unpickled(order.context, WorkerContext)
 
 

@@ -169,7 +169,7 @@ def _section(paper: _Paper, section: Section, following: Section | None) -> None
     paper.ln(5)
     height_mm = 10 + _height_mm(section.blocks[0])
     if following is not None and isinstance(following.blocks[0], Signatures):
-        height_mm += 15 + _height_mm(following.blocks[0])  # nobody signs an empty page
+        height_mm += 15 + _height_mm(following.blocks[0])  # no page of signatures alone
     paper.need(height_mm)
     paper.write_in(12, is_bold=True)
     paper.paragraph(section.title, 6)

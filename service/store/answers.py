@@ -1,4 +1,4 @@
-"""Answers that were given to requests with an idempotency key, kept for a day for whoever repeats the request."""
+"""Answers that were given to requests with an idempotency key, kept for a day in case a request is repeated."""
 
 import json
 import sqlite3

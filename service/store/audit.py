@@ -123,7 +123,7 @@ def keep_digests(connection: sqlite3.Connection, folder: Path, n_kept: int) -> i
 
 
 def has_kept(connection: sqlite3.Connection, kept: Sequence[str], n_newest: int = N_NEWEST) -> bool:
-    """Return whether the audit has the newest of these entries, each with its digest."""
+    """True when the audit has the newest of these entries, each with its digest."""
     first = max(len(kept) - n_newest, 0)
     if not kept:
         return True
@@ -136,7 +136,7 @@ def has_kept(connection: sqlite3.Connection, kept: Sequence[str], n_newest: int 
 
 
 def check_chain(connection: sqlite3.Connection, known: Sequence[str] = ()) -> Chain:
-    """Return what the digests of all entries say, compared with those `known` from elsewhere, in the same order."""
+    """Verify the chain of digests, also against those `known` from elsewhere, in the same order."""
     n_entries, digest, broken_at = 0, "", None
     for *row, kept in _rows(connection, None, 0, -1):
         n_entries += 1

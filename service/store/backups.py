@@ -62,7 +62,7 @@ def back_up(state_dir: Path, target: Path, go_on: Callable[[], bool] = lambda: T
 
 
 def prune(state_dir: Path, keep: int, made: Path) -> None:
-    """Remove all copies but `keep`: the one just `made`, whatever the clock says, and the newest others.
+    """Remove all copies but `keep`: the one just `made`, even if the clock was set, and the newest others.
 
     What a backup that was killed has left goes too.
     """

@@ -31,7 +31,7 @@ class RetentionFacts:
 
 
 def store_use(connection: sqlite3.Connection, limits: RetentionLimits, disk: Disk, now: datetime) -> StoreUse:
-    """Return what the store takes, and how long the disk suffices for the results of days like the last one."""
+    """Return the space that the store takes, and the days for which the disk suffices at the rate of the last one."""
     first_seq, last_seq, files_bytes = connection.execute(
         "SELECT first_seq, last_seq, files_bytes FROM store"
     ).fetchone()

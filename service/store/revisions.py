@@ -26,7 +26,7 @@ KEPT = (
     "is_replay",
     "verification",
 )
-"""Fields that are of the stone and its fall, whoever measures it."""
+"""Fields of the stone and its fall, which measuring again does not change."""
 
 
 def add_revision(

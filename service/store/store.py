@@ -182,7 +182,7 @@ class Store:
     ) -> None:
         """Note in the audit what was changed outside of the database, unless nothing was.
 
-        Call it right after the change. While the store is held nobody waits: the entry is written later, and logged.
+        Call it right after the change. It waits for no store that is held: the entry is written later, and logged.
         """
         if before == after:
             return
@@ -249,7 +249,7 @@ class Store:
         return max(history.backups_in(self.dir), default=None)
 
     async def open_triggers(self, among: Iterable[tuple[int, str]]) -> list[tuple[int, str]]:
-        """Return which triggers `among` some (session and bundle) an earlier session left open, in their order."""
+        """Return those triggers `among` some (session and bundle) that an earlier session left open, in their order."""
         return await self.read(reads.open_triggers, self._session, among)
 
     async def lose_open(
@@ -297,7 +297,7 @@ class Store:
 
     @property
     def is_released(self) -> bool:
-        """Whether nobody is to wait any more, because the daemon is about to stop."""
+        """True while stopping: long polls return at once."""
         return self._released
 
     def release_waiters(self) -> None:

@@ -12,7 +12,7 @@ class AlarmState(StrEnum):
     UNACKNOWLEDGED = "unacknowledged"
     ACKNOWLEDGED = "acknowledged"
     RETURNED = "returned"
-    """Its cause is gone, and nobody has acknowledged it: somebody should know of it."""
+    """Its cause is gone, and it was not acknowledged: an operator should know of it."""
     SHELVED = "shelved"
     """An operator has put it aside for a time."""
     SUPPRESSED = "suppressed"

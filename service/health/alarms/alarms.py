@@ -68,7 +68,7 @@ class Alarms:
         )
 
     async def acknowledge(self, number: int, who: str) -> Alarm | None:
-        """Have somebody take note of an alarm, and return it; None if there is none that has not ended.
+        """Acknowledge an alarm and return it; None if there is none that has not ended.
 
         Raises
         ------
@@ -139,5 +139,5 @@ def _audited(before: Alarm | None, after: Alarm, who: str, action: str) -> Write
 
 
 def _data(alarm: Alarm) -> Mapping[str, Any]:
-    """Return what an event says of an alarm."""
+    """Return the data of an alarm's event."""
     return {name: value for name, value in asdict(alarm).items() if name not in ("check", "changed_at")}

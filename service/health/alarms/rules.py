@@ -17,7 +17,7 @@ CAMERA = "camera"
 
 
 class Priority(StrEnum):
-    """How soon somebody must act, most urgent first."""
+    """Urgency of an operator's response, most urgent first."""
 
     URGENT = "urgent"
     """No stone is measured or stored."""
