@@ -34,7 +34,7 @@ def etag(*facts: object) -> str:
 
 
 def has_version(tags: str | None, tag: str) -> bool:
-    """Return whether an `If-None-Match` or `If-Match` header names this version."""
+    """True when an `If-None-Match` or `If-Match` header names this version."""
     given = [each.strip().removeprefix("W/") for each in (tags or "").split(",")]
     return tag in given or "*" in given
 

@@ -29,7 +29,7 @@ class KeyRing:
         self.trouble: str | None = None
         """Why no key of the file is accepted, None if they are."""
         self.is_noted = True
-        """Whether the audit has what `stonefall keys` did; set by whoever notes it."""
+        """Whether the audit has the changes by `stonefall keys`; set by the caller that notes them."""
 
     @property
     def is_empty(self) -> bool:
@@ -107,5 +107,5 @@ def _command_of(user: str) -> str:
 
 
 def _version_of(status: os.stat_result) -> Version:
-    """Return what tells two versions of the file apart; the change time also shows another owner or mode."""
+    """Identify a version of the file by times, size and inode; the change time also shows another owner or mode."""
     return (status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino)

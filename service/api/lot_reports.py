@@ -102,7 +102,7 @@ def _report_data(
     *,
     has_pictures: bool,
 ) -> ReportData | None:
-    """Return what the report of a lot says, None if there is none."""
+    """Return the contents of the report of a lot, None if there is no such lot."""
     figures = lot_figures(connection, lot, wanted.figures)
     if figures is None:
         return None

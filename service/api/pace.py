@@ -86,7 +86,7 @@ class Turns:
         return waiting
 
     def leave(self, client: str, waiting: Waiting, *, is_known: bool) -> None:
-        """Take a request out that waits no longer, whatever the reason."""
+        """Take a request out that waits no longer, for any reason."""
         queues = self._known if is_known else self._strangers
         own = queues.get(client, {})
         if waiting in own:

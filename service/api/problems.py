@@ -292,7 +292,7 @@ def store_unavailable() -> Problem:
 
 
 def failure_of(request: Request) -> str:
-    """Return how the log begins to tell that a request failed."""
+    """Return the beginning of the log's line about a failed request."""
     return f"request {request_id_of(request)}: {request.method} {request.scope['path']} failed"
 
 
