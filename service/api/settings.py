@@ -17,7 +17,7 @@ class Scope(StrEnum):
     READ = "read"
     """Read everything."""
     OPERATE = "operate"
-    """Arm and disarm, record, collect and solve calibrations, verify, open and close lots, take note of alarms,
+    """Arm and disarm, record, collect and solve calibrations, verify, open and close lots, acknowledge alarms,
     measure stones again."""
     CONFIGURE = "configure"
     """Accept and activate calibrations, define products, read the configuration."""

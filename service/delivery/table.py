@@ -31,7 +31,7 @@ class EventCursorError(ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Delivery:
-    """One attempt to tell an endpoint of something."""
+    """One attempt to post to an endpoint."""
 
     at: str
     webhook_id: str

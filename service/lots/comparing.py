@@ -46,7 +46,7 @@ class ComparedFigure(Report):
     low: float | None = Field(description="Lower end of the 95 % interval of the difference")
     high: float | None = Field(description="Upper end of it")
     is_significant: bool | None = Field(
-        description="More than chance, by Holm's method over all figures; null: not measured, or too few stones to tell"
+        description="More than chance, by Holm's method over all figures; null: not measured, or too few stones"
     )
 
 

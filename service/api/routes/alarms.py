@@ -1,4 +1,4 @@
-"""Alarms: what needs somebody now, with what to do; acknowledged and shelved by people."""
+"""Alarms: conditions that need an operator, with the remedy; acknowledged and shelved by people."""
 
 from dataclasses import asdict
 from typing import Annotated, Any
@@ -35,7 +35,7 @@ class AlarmDocument(BaseModel):
         description="The check of `/health` that does not pass, such as `gate` or `camera:c01`"
     )
     state: AlarmState = Field(
-        description="In the words of ISA-18.2; returned: its cause is gone, and nobody has acknowledged it"
+        description="In the words of ISA-18.2; returned: its cause is gone, and it was not acknowledged"
     )
     priority: Priority = Field(description="The highest since it was raised")
     detail: str | None = Field(description="What the check says")
@@ -44,13 +44,13 @@ class AlarmDocument(BaseModel):
     raised_at: str = Field(description="When it was first raised, RFC 3339 UTC", json_schema_extra=TIME)
     changed_at: str = Field(description="When its state or priority last changed", json_schema_extra=TIME)
     occurrences: int = Field(
-        description="How often its cause came back before somebody acknowledged it, and 1"
+        description="Times that its cause occurred until it was acknowledged, at least 1"
     )
     cleared_at: str | None = Field(json_schema_extra=TIME, description="When its cause was last gone")
     acknowledged_at: str | None = Field(
-        json_schema_extra=TIME, description="When somebody took note; null while nobody has"
+        json_schema_extra=TIME, description="When it was acknowledged; null while it is not"
     )
-    acknowledged_by: str | None = Field(description="Name of the key that took note")
+    acknowledged_by: str | None = Field(description="Name of the key that acknowledged it")
     shelved_until: str | None = Field(
         json_schema_extra=TIME, description="When it comes back; null while it is not shelved"
     )
@@ -63,7 +63,7 @@ class AlarmsDocument(BaseModel):
     """All alarms that have not ended, the most urgent first."""
 
     items: list[AlarmDocument] = Field(description="Unacknowledged, acknowledged and returned ones")
-    shelved: list[AlarmDocument] = Field(description="Put aside by somebody for a time")
+    shelved: list[AlarmDocument] = Field(description="Put aside by an operator for a time")
     suppressed: list[AlarmDocument] = Field(description="Caused by another alarm, which is the one to act on")
 
 

@@ -47,7 +47,7 @@ class CalibrationSummary(BaseModel):
 
     id: str = Field(description="Name of the calibration in the addresses")
     state: CalibrationState = Field(
-        description="How far it is: `collecting`, `solving` and `solved` are open, the others ended"
+        description="Its state: `collecting`, `solving` and `solved` are open, the others ended"
     )
     is_active: bool = Field(description="Whether stones are measured with it now")
     calibration_id: str | None = Field(

@@ -65,7 +65,7 @@ class VerificationDocument(BaseModel):
     """A verification: its balls, and its verdict once they are complete."""
 
     id: str = Field(description="Name of the verification in the addresses")
-    state: VerificationState = Field(description="How far it is, or its verdict")
+    state: VerificationState = Field(description="Its state, or its verdict")
     diameter_mm: float = Field(description="Diameter of the ball as requested, mm")
     count: int = Field(
         description="Number of drops to measure; rejected ones and those of another size do not count"
@@ -251,7 +251,7 @@ async def void_verification(
 
 
 def _facts(verification: Verification) -> dict[str, Any]:
-    """Return what the audit is to know of a verification: all but its balls."""
+    """Return the facts about a verification that the audit keeps: all but its balls."""
     return {name: value for name, value in asdict(verification).items() if name != "balls"}
 
 
