@@ -183,7 +183,7 @@ class Client:
             raise RefusedError(answer.status, problem, answer.getheader("Retry-After"))
         if not isinstance(document, dict):
             connection.close()
-            raise NoAnswerError("the answer is torn, or not stonefall's")
+            raise NoAnswerError("the answer is incomplete, or not stonefall's")
         return document
 
     def key(self) -> str:

@@ -209,7 +209,7 @@ def _first_session(model: bytes, providers: Sequence[str], start: StartSession) 
         session = start(model, (CPU,))
     except RUNTIME_ERRORS as err:
         raise ModelError(
-            f"expected an ONNX model, found {len(model)} bytes that are none: {_line(err)}"
+            f"expected an ONNX model, found {len(model)} bytes that are not one: {_line(err)}"
         ) from err
     return session, f"{', '.join(problems)}, the CPU computes" if problems else None
 

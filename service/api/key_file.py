@@ -53,7 +53,9 @@ class StoredKey:
     def __post_init__(self) -> None:
         for time in (self.created_at, self.expires_at, self.revoked_at):
             if time is not None and rfc3339(datetime.fromisoformat(time)) != time:
-                raise ValueError(f"{time!r} is no time of this program")
+                raise ValueError(
+                    f"{time!r} is not a time as the daemon writes it, such as 2027-01-01T00:00:00.000Z"
+                )
 
     def refusal(self, now: str) -> str | None:
         """Return the reason why the key is not accepted at a time, None if it is."""

@@ -62,7 +62,7 @@ def command(
     store: Annotated[Path, typer.Option(help="Folder for results.")] = Path("/var/lib/stonefall"),
     spool: Annotated[Path, typer.Option(help="Folder on tmpfs for bundles.")] = Path("/run/stonefall"),
     product: Annotated[
-        str | None, typer.Option(help="Name of the product, for the steps that are told.")
+        str | None, typer.Option(help="Name of the product, for the steps that are printed.")
     ] = None,
     density_g_cm3: Annotated[
         float | None, typer.Option(min=0.1, max=20, help="Particle density (EN 1097-6).")
@@ -76,7 +76,7 @@ def command(
     each place. A rig file that is there is kept; without one the design is written, until the rig is calibrated.
     """
     if file.exists() and not force:
-        raise UsageError(f"{file}: is there already; --force replaces it")
+        raise UsageError(f"{file}: exists already; --force replaces it")
     is_asked = sys.stdin.isatty()
     interfaces = tuple(interface or (_asked_interfaces() if is_asked else ()))
     rig_file = file.resolve().parent / "rig.json"

@@ -20,11 +20,13 @@ from service.base.errors import UsageError
 from service.configuration.settings import Settings, load_settings
 
 command = typer.Typer(
-    no_args_is_help=True, help="Keys of the REST interface; a running daemon knows at once."
+    no_args_is_help=True, help="Keys of the REST interface; changes apply to a running daemon at once."
 )
 
 Config = Annotated[Path, typer.Option("--config", help="TOML file of the daemon.")]
-Name = Annotated[str, typer.Argument(metavar="NAME", help="Name of the key: who or what asks with it.")]
+Name = Annotated[
+    str, typer.Argument(metavar="NAME", help="Name of the key: the person or program that uses it.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
@@ -33,10 +35,11 @@ def create(
     name: Name,
     config: Config,
     scopes: Annotated[
-        list[Scope] | None, typer.Option("--scope", help="What it opens, one or more; read when absent.")
+        list[Scope] | None, typer.Option("--scope", help="Scope of the key; may be repeated; default: read.")
     ] = None,
     expires: Annotated[
-        str | None, typer.Option(help="Until when: a date or time (UTC when it does not say), or days: 90d.")
+        str | None,
+        typer.Option(help="Expiry: a date, a time (UTC without an offset), or a number of days: 90d."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:

@@ -39,7 +39,7 @@ def command(
     until: Annotated[str | None, typer.Option(help="Captured before, RFC 3339.")] = None,
     executor: Executor = None,
     key: Key = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what came of each stone as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome of each stone as JSON.")] = False,
 ) -> None:
     """Measure stones again from their archived frames, with today's algorithm; the results become revisions.
 

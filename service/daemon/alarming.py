@@ -34,7 +34,7 @@ class Alarming:
             try:
                 self.look(health(), time.monotonic())
             except OSError as err:  # of a disk, which must not end the daemon
-                log.error("health cannot be looked at: %s", err)
+                log.error("health cannot be assessed: %s", err)
             await asyncio.sleep(TICK_S)
 
     def look(self, health: Health, now_s: float) -> None:

@@ -219,7 +219,7 @@ class Webhooks:
         elif after.attempts == 1:
             log.warning("webhook %s: %s", endpoint.name, answer.problem)
         elif before.attempts > 0 and answer.problem is None:
-            log.info("webhook %s is told again, attempts=%d", endpoint.name, before.attempts + 1)
+            log.info("webhook %s takes messages again, attempts=%d", endpoint.name, before.attempts + 1)
         told.progress = await self._store.write(table.note, endpoint.name, delivery, before, after)
 
     async def _send(

@@ -169,7 +169,7 @@ def _require_own_audit(source: Path, connection: sqlite3.Connection, state_dir: 
     if None not in broken_at:
         raise StoreError(
             f"{source}: was tampered with, or is of another store: entry {max(filter(None, broken_at))} of its audit is"
-            " none of this store; with --any-audit it is restored all the same"
+            " not in this store's; with --any-audit it is restored all the same"
         )
 
 

@@ -73,7 +73,7 @@ async def sign_in(request: Request, response: Response, context: Context, wanted
     """
     origin = request.headers.get("origin")
     if origin is not None and not is_own_origin(request, origin, context.settings):
-        raise Problem(403, "foreign-origin", f"a page of {origin!r} must not sign anybody in here; {PROXY}")
+        raise Problem(403, "foreign-origin", f"a page of {origin!r} must not sign in here; {PROXY}")
     await keys_now(context)
     key = checked_key(request, context, wanted.token)
     session, cookie = context.sessions.begin(key, time.time())
