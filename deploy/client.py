@@ -56,7 +56,7 @@ class RefusedError(ClientError):
 
 @dataclass(frozen=True)
 class Position:
-    """How far a client is: the history of results that it follows, and its cursor there."""
+    """Position of a client: the history of results that it follows, and its cursor there."""
 
     instance_id: str | None = None
     after: int = 0
@@ -146,7 +146,7 @@ class Client:
         return instance_id, items
 
     def park(self, consumer: str, after: int) -> None:
-        """Tell the daemon how far a named consumer is: it keeps for longer what comes after."""
+        """Park the cursor of a named consumer: the daemon keeps for longer what comes after."""
         self.ask("PUT", f"/consumers/{quote(consumer)}/cursor", {"after": after})
 
     def ask(
@@ -317,7 +317,7 @@ class Database:
 
 
 def deliver(client: Client, handle: Callable[[Step], None], cursor_file: Path, **options: Any) -> None:
-    """Have a function handle each step, and keep the position in a file: for receivers without transactions.
+    """Call a function with each step, and keep the position in a file: for receivers without transactions.
 
     After a kill in between the last step comes again: `id` and `revision` tell what was handled before.
     """

@@ -113,7 +113,7 @@ def local_addresses() -> list[str]:
 
 
 def release_control(cameras: Sequence[str], sockets: Sequence[tuple[str, int]]) -> None:
-    """Have cameras forget a dead process, which had these sockets: otherwise they wait until its heartbeat ends.
+    """Release a dead process's control of cameras, from its sockets: otherwise they wait for the end of its heartbeat.
 
     Control belongs to the address and port that took it (GigE Vision 2.0, 10.4), not to the process; other writers
     are refused. Nothing is acknowledged; an address that another socket has taken meanwhile is left out.

@@ -90,7 +90,7 @@ def _require_positive(**values: float) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fall:
-    """How stones fall in one rig."""
+    """Free fall of stones in one rig."""
 
     height_mm: float = FALL_HEIGHT_MM
     """From the beam of the light gate to the rig's centre."""

@@ -31,7 +31,7 @@ TOLERANCES: Mapping[Reference, Mapping[str, tuple[float, float]]] = {
 
 @dataclass(frozen=True)
 class Expectation:
-    """One figure of one body, and how far a measurement may be from it."""
+    """One figure of one body, and the tolerance of its measurement."""
 
     bundle: str
     figure: str

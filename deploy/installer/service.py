@@ -29,7 +29,7 @@ NOT_READY = (503, "urn:stonefall:problem:not-ready")
 
 @dataclass(frozen=True)
 class Configuration:
-    """What a release makes of the configuration; without folder and address if it cannot read it."""
+    """The configuration as a release reads it; without folder and address if it cannot read it."""
 
     state_dir: Path | None
     health_url: str | None

@@ -27,7 +27,7 @@ RELOADS = {
 
 @dataclass(frozen=True)
 class Return:
-    """What going to an older release does to the results."""
+    """Effect of a change to an older release on the results."""
 
     backup: Copy | None  # to be restored; None: the database stays as it is
     beyond: int  # results that the backup does not have

@@ -1,4 +1,4 @@
-"""What the daemon and the process of the cameras tell one another, over a socket that keeps messages apart."""
+"""Messages between the daemon and the process of the cameras, over a socket that keeps them apart."""
 
 import pickle
 import socket
@@ -21,7 +21,7 @@ Address = tuple[str, int]
 
 
 class Doing(StrEnum):
-    """What a camera can be asked to do: methods of `AravisCamera`; `LIGHT` and `DARKEN` are its `light`."""
+    """Operations of a camera: methods of `AravisCamera`; `LIGHT` and `DARKEN` are its `light`."""
 
     OPEN = "open"
     ARM = "arm"

@@ -63,11 +63,11 @@ class Pulse:
         self._waited_s = 0.0  # for the next one
 
     def beat(self, now_s: float) -> None:
-        """Take a heartbeat."""
+        """Note a heartbeat."""
         self._heard_s, self._waited_s = now_s, 0.0
 
     def wait(self, waited_s: float) -> None:
-        """Take the time that was waited for a message: a host that stood still says nothing of the process."""
+        """Note the time waited for a message: while the host stood still, the process cannot be judged."""
         self._waited_s += min(waited_s, LISTEN_S)
 
     def is_silent(self, now_s: float) -> bool:
@@ -120,7 +120,7 @@ class CameraProcess:
         self._outlets[camera] = outlet
 
     def call(self, settings: GigeCameraSettings, doing: Doing) -> Result:
-        """Have the process do something with a camera; only to open one starts it.
+        """Call an operation of a camera in the process, which only an opening starts.
 
         Raises
         ------
@@ -164,7 +164,7 @@ class CameraProcess:
         self._life = _Life(process, here, self._listen)
 
     def _listen(self, life: "_Life") -> None:
-        """Take what the process says until it ends, then start another one."""
+        """Receive messages of the process until it ends, then start another one."""
         while (received := life.next()) is not None:
             message, files = received
             match message:

@@ -78,7 +78,7 @@ def beat(end: socket.socket) -> None:
 
 
 class ServedCamera:
-    """A camera with the memory that it receives into, and the sink that tells the daemon of its events."""
+    """A camera with the memory that it receives into, and the sink that sends its events to the daemon."""
 
     def __init__(self, first: Call, end: socket.socket) -> None:
         self.device = AravisCamera(first.settings, lambda n_bytes: self._slots.take(n_bytes), first.last)
@@ -116,7 +116,7 @@ class ServedCamera:
             send(self._end, Reply(number=call.number, result=result))
 
     def deliver(self, event: DeviceEvent) -> bool:
-        """Tell the daemon; `False` when it is gone."""
+        """Send the event to the daemon; `False` when it is gone."""
         try:
             if isinstance(event, Frame):
                 send(self._end, self._whereabouts(event))
@@ -132,7 +132,7 @@ class ServedCamera:
             self._slots.free(slot)
 
     def _open(self) -> None:
-        """Open the camera with memory of its own, and tell the daemon of it."""
+        """Open the camera with memory of its own, and report it to the daemon."""
         self.device.close()
         self._slots.file.close()
         self._slots = SlotsToFill(self._n_slots)

@@ -23,7 +23,7 @@ class AppliedFeature:
 
     @property
     def is_selector(self) -> bool:
-        """Whether it chooses what the features after it belong to; it is no setting in itself."""
+        """Whether it selects the instance of the features after it; it is no setting in itself."""
         return self.name.endswith("Selector")
 
 

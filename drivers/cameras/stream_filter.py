@@ -85,7 +85,7 @@ def _distance(skipped: int, at: int, n: int) -> int:
 
 
 def attach_filter(stream: socket.socket, program: Sequence[Instruction]) -> None:
-    """Have the kernel ask the program about each datagram for this socket; raises `OSError` if it cannot."""
+    """Attach the program to this socket as a kernel filter of its datagrams; raises `OSError` if that fails."""
     code = b"".join(
         struct.pack("HBBI", each.code, each.if_true, each.if_false, each.value) for each in program
     )

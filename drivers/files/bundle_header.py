@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameEntry:
-    """What the header records of one frame."""
+    """Entry of the header for one frame."""
 
     page: int
     frame_id: int

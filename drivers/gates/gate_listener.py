@@ -34,7 +34,7 @@ RECENT_NS = 60_000_000_000
 
 @dataclass(slots=True, kw_only=True)
 class GateCounters:
-    """What was received from the gate since the driver was made, armed or not."""
+    """Counts of the lines received from the gate since the driver was made, armed or not."""
 
     lines: int = 0  # valid ones
     garbage: int = 0  # damaged lines, and bytes between lines

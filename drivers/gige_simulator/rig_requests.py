@@ -88,7 +88,7 @@ class RigRequests:
         }
 
     def state(self) -> Reply:
-        """Tell the state of belt, gate and cameras, and all their faults."""
+        """Report the state of belt, gate and cameras, and all their faults."""
         return {
             "belt": {
                 "is_running": self._belt.is_running,

@@ -1,4 +1,4 @@
-"""How well ball drops fill the measuring volume and the images, and what to drop next."""
+"""Coverage of the measuring volume and of the images by ball drops, and the drops that are missing."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

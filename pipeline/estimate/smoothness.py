@@ -1,4 +1,4 @@
-"""How smooth a body is, from place to place and as a whole, judged by its tangent rays.
+"""Smoothness of a body, from place to place and as a whole, judged by its tangent rays.
 
 On a body with corners and flat faces nearly every tangent ray passes through a corner or an edge, where
 the planes of other views cut it short. On a smooth body each ray touches at a point of its own,

@@ -57,7 +57,7 @@ class FormFraction:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class D4791:
-    """What ASTM D4791 says of a lot."""
+    """Shape of a lot by ASTM D4791."""
 
     whole: Shares  # of all measured particles together
     fractions: tuple[FormFraction, ...]  # by rising size, those that the standard tests

@@ -22,7 +22,7 @@ from pipeline.gradation.stones import Lot, UnmeasuredMass, unmeasured_mass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gradation:
-    """What a lot is: everything that a report prints of its stones."""
+    """Gradation of a lot: all figures of its stones that a report prints."""
 
     n_stones: int
     volume_mm3: float

@@ -50,7 +50,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Specification:
-    """What a product must be: limits of the passing by sieve, and of the indices."""
+    """Limits of a product: of the passing by sieve, and of the indices."""
 
     name: str
     source: str

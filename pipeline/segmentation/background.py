@@ -116,7 +116,7 @@ class CameraBackground:
 
     @cached_property
     def _flash_wall(self) -> tuple[Mask, Singles]:
-        """Which of the sparse blocks the flash is estimated from, and their means (N,)."""
+        """Choose the sparse blocks that the flash is estimated from, with their means (N,)."""
         wall = np.maximum(self.coarse[SPARSE], 1)
         is_lit = np.asarray(wall > MIN_WALL_GREY)
         return is_lit, wall[is_lit]

@@ -1,4 +1,4 @@
-"""What one image would show without the body, as far as the image and the empty rig tell.
+"""View without the body, estimated from the image itself and from the empty rig.
 
 With a background it is the background in this flash; without one, a smooth surface through the outer parts of
 the image. Either is corrected where the body ends: the ratio of the image to the expected view just outside of

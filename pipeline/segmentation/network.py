@@ -53,7 +53,7 @@ RUNTIME_ERRORS = (
 
 
 class NetworkKind(StrEnum):
-    """What a network takes and returns."""
+    """Kind of a network, by its inputs and outputs."""
 
     OURS = "stonefall"
     U2NET = "u2net"

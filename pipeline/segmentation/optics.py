@@ -53,7 +53,7 @@ WIDTH_SIGMAS = 2.563
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewOptics:
-    """How well one camera saw in one exposure; `None` where the view does not show it."""
+    """Image quality of one camera in one exposure; `None` where the view does not show it."""
 
     brightness: float  # light on the plain wall, 1: as in the clean rig
     gradient_uv: tuple[

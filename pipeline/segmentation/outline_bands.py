@@ -1,4 +1,4 @@
-"""How much the two bands along a body's outline, wall outside and rim inside, differ from the empty rig.
+"""Differences from the empty rig in two bands along a body's outline: wall outside, rim inside.
 
 Everything is in blocks of 4 px.
 """
@@ -32,7 +32,7 @@ mirrored, but no band reaches there."""
 
 
 class BandImages(NamedTuple):
-    """What is compared, in blocks (H/4, W/4) of an image (H, W)."""
+    """Images that are compared, in blocks (H/4, W/4) of an image (H, W)."""
 
     seen: GreyImage  # one pixel of each block
     expected: GreyImage  # the same without the body, `gain` not applied

@@ -1,4 +1,4 @@
-"""What a network predicts for a region of an image: the pixels of the body, and those it cannot tell."""
+"""Prediction of a network for a region of an image: the pixels of the body, and the uncertain ones."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ or a screw of the housing."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prediction:
-    """What the network says of a region; arrays have the region's height and width."""
+    """Prediction for a region; arrays have the region's height and width."""
 
     region: Region
     image: FloatImage  # as a share of the plain wall

@@ -27,7 +27,7 @@ Box = tuple[int, int, int, int]  # x, y, width, height
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SegmentationParameters:
-    """What counts as a body."""
+    """Limits that define a body in the comparison with the background."""
 
     min_contrast: float = 0.12  # least difference from the background, as a share of it, that is a body
     dark_share: float = 0.5  # background below this share of the image's typical level is unknown

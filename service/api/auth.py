@@ -1,4 +1,4 @@
-"""Who asks, and whether that is allowed: by bearer keys with scopes, or by sessions of browsers that showed one.
+"""Authentication and authorisation: bearer tokens with scopes, or sessions of browsers that showed one.
 
 While there is no key, only this machine may write, and other hosts may read if `[api] without_keys` says so.
 """
@@ -47,7 +47,7 @@ Credentials = Annotated[HTTPAuthorizationCredentials | None, Depends(bearer)]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Asker:
-    """Who asks, and what that allows."""
+    """Requester of a request, with its scopes."""
 
     who: str | None  # for the audit; None: unknown
     scopes: Collection[Scope]

@@ -1,4 +1,4 @@
-"""Entity tags: a client that has the newest version is told so, and one that changes an older one is refused.
+"""Entity tags: 304 for a client that has the newest version, 412 for a change of an older one.
 
 Both are RFC 9110, section 13. A change is compared with what is there on the thread that writes, so of two clients that
 saw the same version one comes too late.

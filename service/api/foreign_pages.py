@@ -1,4 +1,4 @@
-"""Refuse what a web page of a stranger can have a browser ask for: by the name of the host, the origin, the media type.
+"""Reject requests that foreign web pages make through a browser: by host name, origin and media type.
 
 A browser in the plant shows pages of anybody, and reaches this service with its user's address. Without these checks a
 page could write (a form needs no permission), and, when its own name leads to this service (DNS rebinding), also read.

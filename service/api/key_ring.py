@@ -37,7 +37,7 @@ class KeyRing:
         return not self._configured and not self.stored and self.trouble is None
 
     def use(self, configured: Sequence[ApiKey]) -> None:
-        """Take other keys of the configuration in the place of those before."""
+        """Replace the keys of the configuration."""
         self._configured = tuple(configured)
 
     def refresh(self) -> None:
@@ -65,7 +65,7 @@ class KeyRing:
         self.is_noted = not self.stored
 
     def find(self, token: str) -> ApiKey | StoredKey | None:
-        """Return the key of a token; compared in constant time, so that timing does not tell how near a guess was."""
+        """Return the key of a token; compared in constant time, so that timing gives no hint to a guess."""
         digest = sha256_of(token)
         known: list[ApiKey | StoredKey] = [*self._configured, *self.stored]
         matching = [key for key in known if hmac.compare_digest(digest, key.sha256)]

@@ -48,7 +48,7 @@ class FilesFailedError(ServiceError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportRequest:
-    """What is asked for, and what only the daemon knows of the rig."""
+    """Request for a report, with the facts that only the daemon knows of the rig."""
 
     figures: Request
     report_format: ReportFormat

@@ -47,7 +47,7 @@ class TodaysCounts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rows:
-    """What the store says at one moment."""
+    """Rows of the store at one moment."""
 
     counts: OutcomeCounts = field(default_factory=OutcomeCounts)
     today: TodaysCounts | None = None

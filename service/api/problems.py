@@ -170,7 +170,7 @@ def problem_response(request: Request, problem: Problem) -> JSONResponse:
 
 
 def install_handlers(app: FastAPI) -> None:
-    """Have every exception that can leave a route answered as a problem."""
+    """Install handlers that answer every exception of a route as a problem."""
     app.add_exception_handler(HTTPException, _handle_http)
     app.add_exception_handler(RequestValidationError, _handle_validation)
     app.add_exception_handler(ConflictError, _handle_transition)

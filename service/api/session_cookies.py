@@ -30,12 +30,12 @@ def session_cookie(request: Request) -> str | None:
 def set_session_cookie(
     request: Request, response: Response, cookie: str, session: Session, now_s: float
 ) -> None:
-    """Have the browser send a session from now on, to this host alone, and show it to no script."""
+    """Set the cookie of a session, for this host alone and hidden from scripts."""
     _set(request, response, cookie, max(0, session.expires_s - int(now_s)))
 
 
 def clear_session_cookie(request: Request, response: Response) -> None:
-    """Have the browser forget the session."""
+    """Clear the cookie of the session."""
     _set(request, response, "", 0)
 
 

@@ -45,7 +45,7 @@ Key = ApiKey | StoredKey
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Session:
-    """What the cookie says; times are seconds since 1970."""
+    """Contents of the cookie; times are seconds since 1970."""
 
     key: str  # its name
     id: str

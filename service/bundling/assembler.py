@@ -75,7 +75,7 @@ class BundleAssembler:
         return self._missed.has_gap
 
     def feed(self, event: DeviceEvent) -> list[FrameBundle]:
-        """Take one event; return the bundles that it finished, in the order of their triggers."""
+        """Process one event; return the bundles that it finished, in the order of their triggers."""
         match event:
             case Trigger():
                 self._announce(event)

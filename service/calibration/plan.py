@@ -22,7 +22,7 @@ class Method(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationPlan:
-    """What to calibrate with: one ball, two balls of different size, or any stones."""
+    """Bodies to calibrate with: one ball, two balls of different size, or any stones."""
 
     ball_diameters_mm: tuple[float, ...] = ()
     method: Method = Method.BUNDLE

@@ -81,7 +81,7 @@ def _stones(
 
 
 def _remeasure(url: str, key: str | None, name: str, summary: Summary) -> None:
-    """Have one stone measured again, and note what came of it; raise `DaemonError` if the daemon does not answer."""
+    """Request the remeasuring of one stone and note its outcome; raise `DaemonError` if the daemon does not answer."""
     with noted_refusal(name, summary):
         done = ask(url, f"/particles/{name}/revisions", key, {}, timeout_s=TRIES * DEADLINE_S)
         (summary.revised if done["is_new"] else summary.unchanged).append(name)

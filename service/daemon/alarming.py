@@ -38,7 +38,7 @@ class Alarming:
             await asyncio.sleep(TICK_S)
 
     def look(self, health: Health, now_s: float) -> None:
-        """Take the health as it is now; another word is an event once it has lasted."""
+        """Note the present health; another word is an event once it has lasted."""
         self.alarms.update(health.checks)
         if health.ne107 is not self._seen:
             self._seen, self._seen_since_s = health.ne107, now_s

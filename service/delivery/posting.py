@@ -40,7 +40,7 @@ async def post(
     headers: Mapping[str, str],
     tls: ssl.SSLContext | None,
 ) -> Answer:
-    """Post a message and return what came of it; raises nothing."""
+    """Post a message and return the outcome; raises nothing."""
     began_s = time.monotonic()
     try:
         async with asyncio.timeout(settings.timeout_s):

@@ -1,4 +1,4 @@
-"""`[webhooks]` and `[file_drop]` of the configuration: who is told what, and where files of closed lots go."""
+"""`[webhooks]` and `[file_drop]` of the configuration: endpoints, their events, the folder for files of closed lots."""
 
 import errno
 import re
@@ -29,7 +29,7 @@ MAX_SECRET_BYTES = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WebhookEndpoint:
-    """Who is told of which events; requests are signed with each of the secrets."""
+    """An endpoint and its events; requests are signed with each of the secrets."""
 
     name: str
     url: str
@@ -93,7 +93,7 @@ class WebhookEndpoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WebhooksSettings:
-    """Hosts that may be told of events, and the endpoints on them."""
+    """Hosts that events may be posted to, and the endpoints on them."""
 
     allowed_hosts: tuple[str, ...] = ()  # names and addresses, without a port
     allowed_networks: tuple[str, ...] = PRIVATE_NETWORKS  # which names may lead to

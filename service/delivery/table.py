@@ -1,4 +1,4 @@
-"""The tables of webhooks: how far each endpoint is, its newest deliveries, and the events that it is to be told of."""
+"""The tables of webhooks: progress of each endpoint, its newest deliveries, and its events that are due."""
 
 import json
 import sqlite3
@@ -45,7 +45,7 @@ class Delivery:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Due:
-    """What an endpoint is to be told of next."""
+    """The next event of an endpoint."""
 
     event: Mapping[str, Any] | None  # None: nothing up to `last_seq`
     first_seq: int  # oldest event that is kept
@@ -53,7 +53,7 @@ class Due:
 
 
 def begin(connection: sqlite3.Connection, names: Iterable[str]) -> None:
-    """Have endpoints that are new told of what happens from now on."""
+    """Begin new endpoints at the events from now on."""
     with transaction(connection):
         (last,) = connection.execute("SELECT last_event FROM store").fetchone()
         first = json.dumps(asdict(Progress(after=last)))
@@ -109,7 +109,7 @@ def note(
 
 
 def note_trial(connection: sqlite3.Connection, name: str, delivery: Delivery, who: str) -> None:
-    """Note an attempt that tells of nothing, and who asked for it."""
+    """Note the test of an endpoint, and its requester."""
     with transaction(connection):
         _add(connection, name, delivery)
         audit.note(connection, who, "webhook tested", name, after=asdict(delivery))
@@ -124,14 +124,14 @@ def deliveries(connection: sqlite3.Connection, name: str, limit: int) -> list[De
 
 
 def enable(connection: sqlite3.Connection, name: str, who: str) -> Progress:
-    """Have an endpoint tried again at once, whether it was disabled or waits."""
+    """Try an endpoint again at once, whether it was disabled or waits."""
     with transaction(connection):
         before = progress_of(connection, name)
         return _change(connection, name, who, "webhook enabled", before, enabled(before))
 
 
 def replay(connection: sqlite3.Connection, name: str, after: int, who: str) -> Progress:
-    """Have an endpoint told of all events after a number, again; raise `EventCursorError` if they are not there."""
+    """Post all events after a number to an endpoint again; raise `EventCursorError` if they are not there."""
     with transaction(connection):
         first_seq, last_seq = event_ends(connection)
         if not first_seq - 1 <= after <= last_seq:

@@ -50,7 +50,7 @@ class OpticalParameters:
 
 
 class Severity(IntEnum):
-    """How far a figure has come to its limit."""
+    """Severity of a figure, by its share of the limit."""
 
     NOTHING = 0
     MAINTENANCE = 1

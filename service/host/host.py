@@ -1,4 +1,4 @@
-"""What the checks read of a host: a tree of files, and the few things that only its kernel answers.
+"""The host as the checks read it: a tree of files, and the few facts that only its kernel has.
 
 Everything in /proc, /sys, /etc and /run is read below `root`, so that another tree can be looked at: a test's, or
 one that was copied from a rig. What only the kernel answers is then not known.

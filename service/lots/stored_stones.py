@@ -30,7 +30,7 @@ class UnknownChoiceError(ServiceError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """Which stones of a lot are to be looked at, and as what: by default all, each in its newest revision."""
+    """A choice of a lot's stones and revisions: by default all, each in its newest revision."""
 
     without: tuple[str, ...] = ()  # ids of stones that are left out
     algorithm_version: str | None = None  # of each stone the newest revision by this version

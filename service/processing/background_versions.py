@@ -47,7 +47,7 @@ class BackgroundVersions:
         return retired
 
     async def learn(self, job: asyncio.Task[Any]) -> None:
-        """Take the job that learns an exposure, and wait for it if later bundles have to.
+        """Note the job that learns an exposure, and wait for it if later bundles have to.
 
         A result that is not a `LearntBackground` changes nothing.
         """

@@ -50,7 +50,7 @@ class LeftBundle:
 
 
 class _Name(NamedTuple):
-    """What the name of a file says, in the folder of a session."""
+    """Parts of a file's name in the folder of a session."""
 
     session: int
     deaths: int

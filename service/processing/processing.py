@@ -68,7 +68,7 @@ class DropCollector(Protocol):
     def kind(self) -> BundleKind: ...
 
     async def observe(self, pool: JobPool, job: MeasureJob) -> KeepDrop:
-        """Have a worker observe the drop that the job has measured; its files are in the job's folder."""
+        """Observe the drop that the job has measured, in a worker; its files are in the job's folder."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""What a stone is measured again with: its frames, its calibration, and the background in use now."""
+"""Jobs that measure a stone again: with its frames, its calibration, and the background in use now."""
 
 import asyncio
 import os

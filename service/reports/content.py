@@ -1,4 +1,4 @@
-"""What a report says, section by section, in the words of a language."""
+"""Contents of a report, section by section, in the words of a language."""
 
 from collections.abc import Iterator
 

@@ -266,7 +266,7 @@ def _beside_band(others: Sequence[tuple[float, Figure]], axes: _Axes) -> Iterato
 
 
 def marker(at: Point, verdict: Verdict | None) -> Shape:
-    """Return the mark of a verdict, told by shape as well as by colour."""
+    """Return the mark of a verdict, distinct by shape as well as by colour."""
     style = Style.NO_LIMITS if verdict is None else VERDICT_STYLES[verdict]
     (x, y), r = at, MARKER_RADIUS
     if style is Style.DOES_NOT_CONFORM:

@@ -1,4 +1,4 @@
-"""What a report rests on: accounting, calibration, uncertainty, pictures, versions."""
+"""Evidence of a report: accounting, calibration, uncertainty, pictures, versions."""
 
 from collections.abc import Iterator, Sequence
 

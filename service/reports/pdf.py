@@ -196,7 +196,7 @@ def _section(paper: _Paper, section: Section, following: Section | None) -> None
 
 
 def _height_mm(block: Block) -> float:
-    """Return about how high a block is; one that may break over pages asks for no more than half a page."""
+    """Return the approximate height of a block; one that may break over pages needs no more than half a page."""
     match block:
         case Facts():
             short, long = block.by_length()
@@ -306,7 +306,7 @@ def batched_cards(cards: Sequence[Card]) -> list[Sequence[Card]]:
 
 
 def _card(paper: _Paper, card: Card, x: float, top: float, width_mm: float, picture_mm: float) -> float:
-    """Draw a card; return how far down it reaches."""
+    """Draw a card; return the height of its lower edge."""
     paper.set_fill_color(*SOFT)
     paper.rect(x, top, width_mm, picture_mm, style="F")
     png = readable_png(card.png)

@@ -14,7 +14,7 @@ KEPT_NS = 24 * 3600 * 10**9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What was answered, and to which request."""
+    """An answer and the digest of its request."""
 
     request: str  # digest
     status: int

@@ -1,4 +1,4 @@
-"""Who changed what, in the order of the changes; never edited.
+"""The audit trail: changes and their authors, in their order; never edited.
 
 A change of the database is noted in its own transaction, any other right after it was made. The digests of the entries
 are a chain: an entry that was edited or removed breaks it. Each digest is kept in a file beside the database as well,
@@ -51,7 +51,7 @@ class AuditEntry:
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """What the digests of all entries say."""
+    """State of the chain of digests over all entries."""
 
     n_entries: int
     digest: str  # of the last one, empty without any

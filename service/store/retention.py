@@ -1,4 +1,4 @@
-"""What is kept, and for how long: of each stone first its files are removed, and long afterwards its numbers.
+"""Retention: of each stone first its files are removed, and long afterwards its numbers.
 
 The oldest go first, a few at a time. The row says so durably before the files are touched, so a kill in between
 leaves nothing in doubt. Pinned results stay. Results that a consumer has not read yet stay for `consumer_days` longer.
@@ -24,7 +24,7 @@ FIRST_TIME = "2020"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RetentionLimits:
-    """How much is kept, each limit for itself; 0: no limit."""
+    """Limits of retention, each for itself; 0: no limit."""
 
     files_days: float = 0.0  # age of meshes, silhouettes, frames and pictures
     max_files_gb: float = 0.0  # size of meshes and silhouettes

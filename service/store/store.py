@@ -115,13 +115,13 @@ class Store:
         return self._writer.trouble
 
     def require_writable(self) -> None:
-        """Raise `StoreError` while the store is held: a client is told so instead of waiting."""
+        """Raise `StoreError` while the store is held, so that a client need not wait."""
         if (trouble := self.trouble) is not None:
             raise StoreError(str(trouble))
 
     @property
     def incidents(self) -> list[str]:
-        """What was moved aside at a start, because the database was damaged or had lost results."""
+        """Notes on what was moved aside at a start, because the database was damaged or had lost results."""
         return history.incidents(self.dir)
 
     @property
@@ -318,7 +318,7 @@ class Store:
     def write_later(
         self, work: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
     ) -> "asyncio.Future[T]":
-        """Have `work(connection, ...)` done after all earlier writes; the caller bounds how many wait."""
+        """Queue `work(connection, ...)` after all earlier writes; the caller bounds the number that wait."""
         return self._submit(lambda connection: work(connection, *args, **kwargs))
 
     async def write_soon(
@@ -352,7 +352,7 @@ class Store:
         return written
 
     def _note_newest(self, connection: sqlite3.Connection) -> None:
-        """Note how far results, events and the audit are, and remove raw frames that are too old.
+        """Note the newest result, event and entry of the audit, and remove raw frames that are too old.
 
         The disk may refuse until the next time.
         """

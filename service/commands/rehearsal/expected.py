@@ -56,7 +56,7 @@ class Expected:
 
 @dataclass
 class Observer:
-    """Notes what clients can read, whenever it is told to look."""
+    """Notes the results that clients can read at each `look`."""
 
     state_dir: Path
     histories: dict[str, dict[int, str]] = field(

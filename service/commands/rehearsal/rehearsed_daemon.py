@@ -1,4 +1,4 @@
-"""The daemon of a rehearsal: a process that is configured, killed, stopped and started as told."""
+"""The daemon of a rehearsal: a process that the script configures, kills, stops and starts."""
 
 import json
 import signal

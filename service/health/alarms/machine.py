@@ -36,7 +36,7 @@ class Change:
 
 @dataclass(slots=True)
 class _Watched:
-    """What is known of a check: how it is now, and since when; and whether that has lasted for the rule's delay."""
+    """State of a check, its beginning, and whether it has lasted for the rule's delay."""
 
     rule: Rule
     is_active: bool = False
@@ -84,11 +84,11 @@ class AlarmMachine:
         return sorted(newest_first, key=lambda alarm: alarm.priority.rank)
 
     def resume_shelf(self, check: str, ends_s: float) -> None:
-        """Say when the time of a shelved alarm of an earlier run is over."""
+        """Set the end of the shelving of an alarm of an earlier run."""
         self._shelf_ends_s[check] = ends_s
 
     def update(self, checks: Mapping[str, HealthCheck], now_s: float, at: str) -> list[Change]:
-        """Take the checks as they are now; one that is missing has nothing to say any more."""
+        """Update the alarms by the present checks; one that is missing counts as passed."""
         for name in checks:
             self._watch(name)
         for name, watched in self._watched.items():
@@ -152,7 +152,7 @@ class AlarmMachine:
         return self._keep(Change(alarm, EventType.ALARM_SHELVED))
 
     def unshelve(self, number: int, now_s: float) -> Alarm | None:
-        """Have the next `update` take an alarm from the shelf; return it, None if there is none of this number.
+        """Unshelve an alarm with the next `update`; return it, None if there is none of this number.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Which checks of health are alarms: `alarms.toml`, as data."""
+"""The rules by which checks of health are alarms: `alarms.toml`, as data."""
 
 import tomllib
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What has changed since an entry of the diary: figures before and after it, and whether that is more than chance."""
+"""Changes since an entry of the diary: figures before and after it, and their significance."""
 
 import sqlite3
 from collections.abc import Iterator

@@ -17,7 +17,7 @@ RECORDED = ("stones JOIN results USING (seq)", "json_extract(record, '$.recorded
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stretch:
-    """What fell within a time."""
+    """Stones that fell within a time."""
 
     n_stones: int
     n_timed: int  # of these, all but stones that were counted together: when each fell is not known

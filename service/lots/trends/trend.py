@@ -1,4 +1,4 @@
-"""How rate, size and shape of the stones went over the last hours."""
+"""Trend of rate, size and shape of the stones over the last hours."""
 
 import sqlite3
 from datetime import UTC, datetime, timedelta

@@ -81,7 +81,7 @@ async def connected_pool(address: str, context: WorkerContext) -> AsyncIterator[
 
 
 async def _watch(client: Client) -> None:
-    """Say so when no worker is left: everything waits for one."""
+    """Log when no worker is left: everything waits for one."""
     had_some = True
     while True:
         await asyncio.sleep(LOOK_S)

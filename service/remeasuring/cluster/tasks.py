@@ -1,4 +1,4 @@
-"""What runs on a worker of the cluster: a bundle is measured by worker processes like the daemon's.
+"""Tasks on a worker of the cluster: a bundle is measured by worker processes like the daemon's.
 
 The process that dask starts measures nothing itself. A bundle that kills its process kills one of the pool, which is
 replaced, and fails after the second time; everything else goes on. The reason why a bundle is not measured here is
