@@ -38,6 +38,13 @@ def test_tests_that_are_named_exist() -> None:
     assert {name for name in named if f"def {name}(" not in sources} == set()
 
 
+def test_rooms_of_the_services_guide_exist() -> None:
+    service = ROOT / "service"
+    rooms = re.findall(r"^\| `([\w/]+/)` \|", (service / "README.md").read_text(encoding="utf-8"), re.M)
+    assert len(rooms) > 10
+    assert [room for room in rooms if not (service / room / "__init__.py").exists()] == []
+
+
 def test_the_index_of_decisions_is_complete() -> None:
     """Each decision of a guide has its row, whose links lead to just the guides that have it."""
     decided = {
