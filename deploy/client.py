@@ -56,7 +56,7 @@ class RefusedError(ClientError):
 
 @dataclass(frozen=True)
 class Position:
-    """How far a client is: the history of results that it follows, and its cursor there."""
+    """Position of a client: the history of results that it follows, and its cursor there."""
 
     instance_id: str | None = None
     after: int = 0
@@ -73,7 +73,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class Step:
-    """What one request has brought: results, a new position, or why there is nothing."""
+    """Outcome of one request: results, a new position, or the trouble that prevented them."""
 
     position: Position
     items: tuple[dict[str, Any], ...] = ()
@@ -83,7 +83,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Pauses:
-    """Times to wait, s: after each failure in a row, after a refusal that somebody must look at, between parkings."""
+    """Times to wait, s: after each failure in a row, after a refusal that needs an operator, between parkings."""
 
     outage: tuple[float, ...] = (1, 2, 4, 8, 10)
     refused: float = 30
@@ -146,7 +146,7 @@ class Client:
         return instance_id, items
 
     def park(self, consumer: str, after: int) -> None:
-        """Tell the daemon how far a named consumer is: it keeps for longer what comes after."""
+        """Park the cursor of a named consumer: the daemon keeps for longer what comes after."""
         self.ask("PUT", f"/consumers/{quote(consumer)}/cursor", {"after": after})
 
     def ask(
@@ -183,7 +183,7 @@ class Client:
             raise RefusedError(answer.status, problem, answer.getheader("Retry-After"))
         if not isinstance(document, dict):
             connection.close()
-            raise NoAnswerError("the answer is torn, or not stonefall's")
+            raise NoAnswerError("the answer is incomplete, or not stonefall's")
         return document
 
     def key(self) -> str:
@@ -210,7 +210,7 @@ def follow(
     seconds: float = math.inf,
     pauses: Pauses = Pauses(),
 ) -> Iterator[Step]:
-    """Yield what comes after a position, for `seconds`, whatever happens to the network, the daemon and its store.
+    """Yield the results after a position, for `seconds`, through failures of the network, the daemon and its store.
 
     A step is to be durable before the next one is asked for. Then nothing is lost, whenever this process is killed.
     Results come at least once, and a stone that was measured again comes again under its `id`, with the next
@@ -317,7 +317,7 @@ class Database:
 
 
 def deliver(client: Client, handle: Callable[[Step], None], cursor_file: Path, **options: Any) -> None:
-    """Have a function handle each step, and keep the position in a file: for receivers without transactions.
+    """Call a function with each step, and keep the position in a file: for receivers without transactions.
 
     After a kill in between the last step comes again: `id` and `revision` tell what was handled before.
     """
@@ -334,7 +334,7 @@ def deliver(client: Client, handle: Callable[[Step], None], cursor_file: Path, *
 
 
 class Reporter:
-    """Tells what a person should know: each trouble, its end, gaps, another store."""
+    """Reports to a person: each trouble, its end, gaps, another store."""
 
     def __init__(self, position: Position, say: Callable[[str], object]) -> None:
         self._say, self._position, self._trouble = say, position, ""

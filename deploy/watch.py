@@ -58,7 +58,7 @@ def wait_until_ready(client: Client, base: str, process: int | None, patience_s:
 
 
 def is_running(process: int) -> bool:
-    """Return whether a process runs; False for one that ended, even if its parent has not read its exit code."""
+    """True while a process runs; False for one that ended, even if its parent has not read its exit code."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:

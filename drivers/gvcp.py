@@ -46,7 +46,7 @@ _IFREQ = struct.Struct("20x4s16x")  # name, family and port; IPv4 address; rest 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiscoveredCamera:
-    """What a camera reports to any application that asks, whoever controls it."""
+    """A camera's answer to discovery, which it gives to any application, controlled or not."""
 
     address: str
     serial: str
@@ -113,10 +113,10 @@ def local_addresses() -> list[str]:
 
 
 def release_control(cameras: Sequence[str], sockets: Sequence[tuple[str, int]]) -> None:
-    """Have cameras forget a dead process, which had these sockets: otherwise they wait until its heartbeat ends.
+    """Release a dead process's control of cameras, from its sockets: otherwise they wait for the end of its heartbeat.
 
-    Control belongs to the address and port that took it (GigE Vision 2.0, 10.4), whoever has them now; what others
-    write is refused. Nothing is acknowledged; a socket that somebody else has got meanwhile is left out.
+    Control belongs to the address and port that took it (GigE Vision 2.0, 10.4), not to the process; other writers
+    are refused. Nothing is acknowledged; an address that another socket has taken meanwhile is left out.
     """
     command = HEADER.pack(KEY, 0, WRITE_REGISTER, 8, 0xFFFF) + struct.pack(">II", CONTROL_PRIVILEGE, 0)
     for local in sockets:

@@ -28,7 +28,7 @@ class EventInbox:
 
     @property
     def refused(self) -> Mapping[str, int]:
-        """How many events of each class (`Frame`, `Trigger`, ...) were refused for want of room."""
+        """Number of events of each class (`Frame`, `Trigger`, ...) that were refused for want of room."""
         return dict(self._refused)
 
     def deliver(self, event: DeviceEvent) -> bool:

@@ -116,7 +116,7 @@ DeviceEvent = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraVitals:
-    """What a camera and its stream report about themselves; None where the device cannot say."""
+    """Figures that a camera and its stream report about themselves; None where the device has none."""
 
     serial: str | None = None
     model: str | None = None
@@ -132,7 +132,7 @@ class CameraVitals:
 
 
 class ProcessState(StrEnum):
-    """How the process is that the library of the cameras runs in."""
+    """State of the process that runs the library of the cameras."""
 
     RUNNING = "running"
     """It sends its heartbeat, or there is none."""
@@ -199,7 +199,7 @@ class Camera(Protocol):
         ...
 
     def examine(self) -> CameraVitals:
-        """Return how an open or armed camera is, after asking the device itself.
+        """Return the vital signs of an open or armed camera, read from the device itself.
 
         Raises
         ------
@@ -240,7 +240,7 @@ class LightGate(Protocol):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What works but needs attention, with the remedy; never blocks, allowed in every state."""
+        """Things that work but need attention, each with the remedy; never blocks, allowed in every state."""
         ...
 
     def resume(self, count: GateCount, n_known: int) -> None:

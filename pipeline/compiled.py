@@ -11,7 +11,7 @@ Result = TypeVar("Result")
 
 
 def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """Have numba compile a function at its first call, to run without holding the GIL.
+    """Compile a function with numba at its first call, to run without holding the GIL.
 
     What is compiled is kept for later processes in `NUMBA_CACHE_DIR`, else beside the source or in the user's
     cache folder. Where none of these can be written, every process compiles for itself.
@@ -26,7 +26,7 @@ def compiled(function: Callable[Parameters, Result]) -> Callable[Parameters, Res
 
 
 def compiled_within(function: Callable[Parameters, Result]) -> Callable[Parameters, Result]:
-    """Have numba compile a function only where a compiled one calls it, which takes a third less time to compile.
+    """Compile a function with numba only where a compiled one calls it, which takes a third less time.
 
     From Python it is called as it is.
     """

@@ -35,7 +35,7 @@ def fall_time_ms(height_mm: float, speed_at_gate_mm_s: float = 0.0) -> float:
 
 
 def blur_px(duration_us: float, *, speed_mm_s: float, pixel_mm: float) -> float:
-    """Return how far the stone moves in the image during an exposure, or between the exposures of two cameras."""
+    """Return the path of the stone in the image, px, during an exposure or between the exposures of two cameras."""
     _require_not_negative(duration_us=duration_us, speed_mm_s=speed_mm_s)
     _require_positive(pixel_mm=pixel_mm)
     return duration_us * 1e-6 * speed_mm_s / pixel_mm
@@ -56,14 +56,14 @@ def vertical_extent_mm(pulse_width_ns: int, speed_at_gate_mm_s: float = 0.0) -> 
 
 
 def pulse_width_ns(extent_mm: float, speed_at_gate_mm_s: float = 0.0) -> int:
-    """Return how long a stone of this vertical extent interrupts the beam; 55.3 ms for 15 mm from rest."""
+    """Return the time for which a stone of this vertical extent interrupts the beam; 55.3 ms for 15 mm from rest."""
     return round(fall_time_ms(extent_mm, speed_at_gate_mm_s) * 1e6)
 
 
 def extent_is_plausible(
     extent_mm: float, measured_mm: tuple[float, float], *, tolerance_mm: float = 1.0, tolerance: float = 0.1
 ) -> bool:
-    """Tell whether a stone of this extent at the gate can be the body that was measured.
+    """True when a stone of this extent at the gate can be the body that was measured.
 
     `measured_mm` are the least and the greatest vertical extent that the body can have had at the gate: its minimum
     and maximum Feret diameter, since a stone rotates as it falls; if it is known not to, both are the range of its
@@ -90,7 +90,7 @@ def _require_positive(**values: float) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fall:
-    """How stones fall in one rig."""
+    """Free fall of stones in one rig."""
 
     height_mm: float = FALL_HEIGHT_MM
     """From the beam of the light gate to the rig's centre."""

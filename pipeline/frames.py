@@ -73,7 +73,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GateCount:
-    """How far a light gate with a counter of its own had counted: a later process learns from it what it missed."""
+    """Count of a light gate with a counter of its own, by which a later process knows the stones that it missed."""
 
     gate: str  # which one, as its driver tells them apart
     sequence: int  # as the gate counts

@@ -44,7 +44,7 @@ BodyKind = Literal["photo", "estimate", "hull"]
 
 @dataclass(frozen=True, slots=True)
 class BodyParameters:
-    """Which body the mesh and the figures of the shape describe; each but the hull is made from the next one."""
+    """Body that mesh and shape describe; each kind but the hull is made from the next one."""
 
     kind: BodyKind = "photo"
     texture: bool | None = None  # whether each vertex of the mesh has a grey value; None: with "photo"
@@ -83,7 +83,7 @@ class PipelineParameters:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HullMeasurement:
-    """The visual hull itself, uncorrected, whatever body was measured."""
+    """The visual hull itself, uncorrected, beside the body that was measured."""
 
     volume_mm3: float
     surface_area_mm2: float
@@ -306,7 +306,7 @@ def _measure(
     length_sd_percent: float | None,
     parameters: PipelineParameters,
 ) -> ParticleMeasurement:
-    """Measure the body, and how far it may be from the truth.
+    """Measure the body and its uncertainty.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a run took: kept as `.cache/durations.json`, printed as tables, and held against the limit of a quick test."""
+"""Durations of a run: kept in `.cache/durations.json`, printed as tables, and bounded for quick tests."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Which files of tests a change can reach: by imports, by the names of files in the code, by commands that are started.
+"""Selection of tests that a change can reach: by imports, names of files in the code, and commands that are started.
 
 For a person at work, who wants an answer in seconds. It may miss what is found at run time alone; the gate of CI runs
 everything.

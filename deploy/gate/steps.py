@@ -1,4 +1,4 @@
-"""What the gate runs, in which order, and how one step is run and timed."""
+"""The steps of the gate, in their order, and the running and timing of one."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ KEPT = Path(".cache/gate")
 
 
 class Extent(StrEnum):
-    """How much is tried; each holds all that the ones before it hold."""
+    """Extent of a run; each holds all that the ones before it hold."""
 
     QUICK = "quick"
     """Each contract, seam, property and path once: for people."""

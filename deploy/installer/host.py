@@ -35,12 +35,12 @@ class Host:
 
     @property
     def runs_systemd(self) -> bool:
-        """Return whether systemd runs the host; not so in a chroot and in most containers."""
+        """True when systemd runs the host; False in a chroot and in most containers."""
         return self.path("/run/systemd/system").is_dir()
 
     @property
     def is_root(self) -> bool:
-        """Return whether configuration and database of the host can be looked at."""
+        """True when this process may read configuration and database of the host."""
         return os.geteuid() == 0
 
     def ask(self, *command: object, user: str | None = None) -> subprocess.CompletedProcess[str]:

@@ -25,7 +25,7 @@ DEFAULT = ".default"
 
 
 class Owner(Enum):
-    """Who decides what is in a file."""
+    """Owner of a file's contents."""
 
     RELEASE = auto()
     SITE = auto()

@@ -42,7 +42,7 @@ def read_release(path: Path) -> Release:
 
 
 def mark_complete(release: Release, folder: Path) -> None:
-    """Say that the folder of a release is whole."""
+    """Mark the folder of a release as complete."""
     write_whole(folder / COMPLETE, json.dumps(asdict(release), indent=2).encode())
 
 

@@ -31,7 +31,7 @@ TOLERANCES: Mapping[Reference, Mapping[str, tuple[float, float]]] = {
 
 @dataclass(frozen=True)
 class Expectation:
-    """One figure of one body, and how far a measurement may be from it."""
+    """One figure of one body, and the tolerance of its measurement."""
 
     bundle: str
     figure: str
@@ -41,7 +41,7 @@ class Expectation:
 
 
 def expectations(records: Iterable[Mapping[str, Any]], reference: Reference) -> list[Expectation]:
-    """Return what is expected of each figure, by true shapes or by results of a measurement."""
+    """Return the expected value and tolerance of each figure, by true shapes or by results of a measurement."""
     return [
         Expectation(
             record["bundle"],

@@ -29,7 +29,7 @@ NOT_READY = (503, "urn:stonefall:problem:not-ready")
 
 @dataclass(frozen=True)
 class Configuration:
-    """What a release makes of the configuration; without folder and address if it cannot read it."""
+    """The configuration as a release reads it; without folder and address if it cannot read it."""
 
     state_dir: Path | None
     health_url: str | None
@@ -46,7 +46,7 @@ class Readiness:
 
 
 def read_configuration(host: Host, release: Release) -> Configuration:
-    """Return what a release makes of the configuration of the host; raise `InstallError` if it does not say."""
+    """Return the configuration of the host as a release reads it; raise `InstallError` if it prints no JSON."""
     done = stonefall(host, release, "check-config", CONFIGURATION, "--json")
     try:
         document: dict[str, Any] = json.loads(done.stdout)
@@ -68,7 +68,7 @@ def stonefall(host: Host, release: Release, *arguments: object) -> subprocess.Co
 
 
 def is_running(host: Host) -> bool:
-    """Return whether systemd runs the daemon."""
+    """True when systemd runs the daemon."""
     return host.runs_systemd and host.ask("systemctl", "is-active", UNIT).stdout.strip() in {
         "active",
         "activating",
@@ -113,7 +113,7 @@ def ask_readiness(url: str, timeout_s: float = 5.0) -> Readiness:
 
 
 def _readiness(status: int, body: bytes) -> Readiness | None:
-    """Return what an answer says, None if no daemon answers so."""
+    """Parse an answer of `/ready`; None if no daemon answers so."""
     try:
         document = json.loads(body)
     except ValueError:

@@ -1,6 +1,6 @@
 """The database of results as the installer sees it: its schema, its newest number, its backups.
 
-Run as a command by the service's user, because whoever opens a database may leave files beside it.
+Run as a command by the service's user, because opening a database may leave files beside it.
 """
 
 import json

@@ -27,14 +27,14 @@ RELOADS = {
 
 @dataclass(frozen=True)
 class Return:
-    """What going to an older release does to the results."""
+    """Effect of a change to an older release on the results."""
 
     backup: Copy | None  # to be restored; None: the database stays as it is
     beyond: int  # results that the backup does not have
 
 
 def plan_return(target: Release, stock: Stock) -> Return:
-    """Return what must be restored so that a release can read the store; raise `InstallError` if nothing can be."""
+    """Return the backup to restore, if any, so that a release can read the store; raise `InstallError` if none fits."""
     if stock.in_use is None or stock.in_use.schema <= target.schema:
         return Return(None, 0)
     backup = backup_for(stock, target.schema)
@@ -47,7 +47,7 @@ def plan_return(target: Release, stock: Stock) -> Return:
 
 
 def _return_to(whole: Path, stock: Stock) -> Return:
-    """Return how to put the database back that a downgrade has replaced, which may have failed before that."""
+    """Return the backup that undoes a downgrade; none if the database was not replaced yet."""
     backup = next(copy for copy in stock.backups if Path(copy.path) == whole)
     if stock.in_use is not None and stock.in_use.schema == backup.schema:
         return Return(None, 0)

@@ -1,7 +1,7 @@
 """Memory that one process receives frames into and another one reads them from, without a copy.
 
-It is divided into slots of one frame each. Who receives takes a free slot and names it when it is full; who reads
-tells which images nobody holds any more. Both ends outlive the other.
+It is divided into slots of one frame each. The writing end takes a free slot and names it when it is full; the
+reading end reports released images. Both ends outlive the other.
 """
 
 import mmap
@@ -54,9 +54,9 @@ class SlotsToFill:
 
 
 class FilledSlots:
-    """The end that reads; takes over the file. `on_free` is called with a slot when nobody holds its image any more.
+    """The reading end; takes over the file. `on_free` is called with a slot when the last view of its image is gone.
 
-    It is called by whichever thread lets go last, wherever it is: it must neither block nor lock.
+    It is called on any thread, at any place where the last view is dropped: it must neither block nor lock.
     """
 
     def __init__(self, file: int, slot_bytes: int, n_slots: int, on_free: Callable[[int], None]) -> None:

@@ -1,4 +1,4 @@
-"""What the daemon and the process of the cameras tell one another, over a socket that keeps messages apart."""
+"""Messages between the daemon and the process of the cameras, over a socket that keeps them apart."""
 
 import pickle
 import socket
@@ -30,7 +30,7 @@ class CameraSettings(Protocol):
 
 
 class Doing(StrEnum):
-    """What a camera can be asked to do: methods of `HostedCamera`; `LIGHT` and `DARKEN` are its `light`."""
+    """Operations of a camera: methods of `HostedCamera`; `LIGHT` and `DARKEN` are its `light`."""
 
     OPEN = "open"
     ARM = "arm"
@@ -100,7 +100,7 @@ class Heartbeat:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlotsFree:
-    """To the process: nobody looks at these images any more."""
+    """To the process: these images are released, their slots may be filled again."""
 
     slots: Sequence[tuple[CameraId, int, int]]  # with the number of the memory
 

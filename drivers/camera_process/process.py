@@ -64,15 +64,15 @@ class Pulse:
         self._waited_s = 0.0  # for the next one
 
     def beat(self, now_s: float) -> None:
-        """Take a heartbeat."""
+        """Note a heartbeat."""
         self._heard_s, self._waited_s = now_s, 0.0
 
     def wait(self, waited_s: float) -> None:
-        """Take the time that was waited for a message: a host that stood still says nothing of the process."""
+        """Note the time waited for a message: while the host stood still, the process cannot be judged."""
         self._waited_s += min(waited_s, LISTEN_S)
 
     def is_silent(self, now_s: float) -> bool:
-        """Return whether no heartbeat came for longer than `SILENT_S`, so that images may be missing."""
+        """True when no heartbeat came for longer than `SILENT_S`, so that images may be missing."""
         return self._heard_s is not None and now_s - self._heard_s > SILENT_S
 
     @property
@@ -124,7 +124,7 @@ class CameraProcess:
         self._outlets[camera] = outlet
 
     def call(self, settings: CameraSettings, doing: Doing) -> Result:
-        """Have the process do something with a camera; only to open one starts it.
+        """Call an operation of a camera in the process, which only an opening starts.
 
         Raises
         ------
@@ -168,7 +168,7 @@ class CameraProcess:
         self._life = _Life(process, here, self._listen)
 
     def _listen(self, life: "_Life") -> None:
-        """Take what the process says until it ends, then start another one."""
+        """Receive messages of the process until it ends, then start another one."""
         while (received := life.next()) is not None:
             message, files = received
             match message:
@@ -291,7 +291,7 @@ class _Life:
         )
 
     def return_slots(self) -> None:
-        """Tell which images nobody holds any more, also in memory that is used no longer."""
+        """Report released image buffers, those of replaced segments included."""
         freed = [self._freed.popleft() for _ in range(len(self._freed))]
         if freed:
             with suppress(OSError):

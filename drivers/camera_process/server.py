@@ -1,7 +1,7 @@
 """The process `stonefall-cams`: it does what the daemon calls for, with the library of the cameras.
 
 Started by `CameraProcess` with the number of its end of the connection and the name of what makes a camera. When the
-other end is gone, killed or not, it closes all cameras, so that whoever comes next need not wait until their
+other end is gone, killed or not, it closes all cameras, so that the next process need not wait until their
 heartbeats end, and ends itself.
 """
 
@@ -101,7 +101,7 @@ def beat(end: socket.socket) -> None:
 
 
 class ServedCamera:
-    """A camera with the memory that it receives into, and the sink that tells the daemon of its events."""
+    """A camera with the memory that it receives into, and the sink that sends its events to the daemon."""
 
     def __init__(self, first: Call, end: socket.socket, make: Factory) -> None:
         self.device = make(first.settings, lambda n_bytes: self._slots.take(n_bytes), first.last)
@@ -135,11 +135,11 @@ class ServedCamera:
             result = err
         except Exception:  # noqa: BLE001 - the daemon waits for a reply
             result = CameraUnavailableError(self.device.id, traceback.format_exc())
-        with suppress(OSError):  # nobody is there to be told
+        with suppress(OSError):  # the daemon is gone
             send(self._end, Reply(number=call.number, result=result))
 
     def deliver(self, event: DeviceEvent) -> bool:
-        """Tell the daemon; `False` when it is gone."""
+        """Send the event to the daemon; `False` when it is gone."""
         try:
             if isinstance(event, Frame):
                 send(self._end, self._whereabouts(event))
@@ -155,7 +155,7 @@ class ServedCamera:
             self._slots.free(slot)
 
     def _open(self) -> None:
-        """Open the camera with memory of its own, and tell the daemon of it."""
+        """Open the camera with memory of its own, and report it to the daemon."""
         self.device.close()
         self._slots.file.close()
         self._slots = SlotsToFill(self._n_slots)

@@ -116,7 +116,7 @@ class AravisCamera:
                 raise
 
     def examine(self) -> CameraVitals:
-        """Return how the camera is; takes 0.3 s at most, unless it dies between the questions."""
+        """Read the camera's vital signs; takes 0.3 s at most, unless it dies between the requests."""
         device = self._device
         if self._camera is None or device is None:
             raise CameraUnavailableError(self.id, "is not open")
@@ -274,7 +274,7 @@ class AravisCamera:
         )
 
     def _opening_warnings(self) -> Iterator[str]:
-        """Yield what works but needs attention, with the remedy."""
+        """Yield each thing that works but needs attention, with the remedy."""
         wanted = self._settings.receive_buffer_bytes
         if self._receive_buffer_bytes < wanted:
             yield (

@@ -23,7 +23,7 @@ class AppliedFeature:
 
     @property
     def is_selector(self) -> bool:
-        """Whether it chooses what the features after it belong to; it is no setting in itself."""
+        """Whether it selects the instance of the features after it; it is no setting in itself."""
         return self.name.endswith("Selector")
 
 
@@ -76,7 +76,7 @@ class FeatureAccess:
             return str(device.get_string_feature_value(own))
 
     def entries(self, own: str) -> list[str]:
-        """Return what an enumeration can be set to now."""
+        """Return the values of an enumeration that can be set now."""
         with aravis_errors(self._camera, f"ask for the entries of {own}"):
             return list(self._device.dup_available_enumeration_feature_values_as_strings(own))
 
@@ -149,7 +149,7 @@ class FeatureAccess:
         return wanted
 
     def _is_same(self, own: str, got: Value, wanted: Value) -> bool:
-        """Return whether two values are equal, floats within the camera's increment."""
+        """True when two values are equal, floats within the camera's increment."""
         if not (isinstance(got, float) and isinstance(wanted, float)):
             return got == wanted
         increment = 0.0

@@ -33,7 +33,7 @@ def find_camera(
 
 
 def are_simulated(cameras: Sequence[GigeCameraSettings]) -> bool:
-    """Return whether of these cameras at least one answers now, and all that answer are simulated."""
+    """True when at least one of these cameras answers now, and all that answer are simulated."""
     seen = [there for camera in cameras if camera.address and (there := gvcp.probe(camera.address))]
     if not all(camera.address for camera in cameras):
         with suppress(OSError):  # an interface that is down: none answers

@@ -80,12 +80,12 @@ def stream_program(camera_address: str, max_number: int) -> Sequence[Instruction
 
 
 def _distance(skipped: int, at: int, n: int) -> int:
-    """Return how many instructions a jump skips, with `_DROP` for all up to the last of n."""
+    """Return the number of instructions that a jump skips, with `_DROP` for all up to the last of n."""
     return n - 2 - at if skipped == _DROP else skipped
 
 
 def attach_filter(stream: socket.socket, program: Sequence[Instruction]) -> None:
-    """Have the kernel ask the program about each datagram for this socket; raises `OSError` if it cannot."""
+    """Attach the program to this socket as a kernel filter of its datagrams; raises `OSError` if that fails."""
     code = b"".join(
         struct.pack("HBBI", each.code, each.if_true, each.if_false, each.value) for each in program
     )

@@ -58,5 +58,5 @@ class Dice:
         self._random = random.Random(f"{seed}/{device}")  # noqa: S311 - nothing secret
 
     def strikes(self, fault: Fault, index: int) -> bool:
-        """Return whether a fault strikes the device's event of this index; draws one random number."""
+        """True when a fault strikes the device's event of this index; draws one random number."""
         return (self._random.random() < fault.probability) | (index in fault.at)

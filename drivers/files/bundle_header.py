@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameEntry:
-    """What the header records of one frame."""
+    """Entry of the header for one frame."""
 
     page: int
     frame_id: int
@@ -76,9 +76,11 @@ def parse_header(path: Path, description: str) -> BundleHeader:
     try:
         document = json.loads(description)
     except (ValueError, RecursionError) as err:
-        raise RecordingError(path, "is no bundle of ours: its first page has no JSON description") from err
+        raise RecordingError(
+            path, "is not a stonefall bundle: its first page has no JSON description"
+        ) from err
     if not isinstance(document, dict) or "format" not in document:
-        raise RecordingError(path, "is no bundle of ours: its description names no format")
+        raise RecordingError(path, "is not a stonefall bundle: its description names no format")
     if document["format"] != FORMAT:
         raise RecordingError(path, f'has format {document["format"]!r}, not "{FORMAT}"')
     if document.get("checksum") != _checksum(document):

@@ -75,7 +75,7 @@ def remove_unfinished(folder: Path) -> None:
     """Remove what processes left in a folder that were killed in `write_file`; none may be writing there."""
     for path in folder.iterdir():
         if UNFOUND.fullmatch(path.name):
-            with suppress(OSError):  # of somebody else
+            with suppress(OSError):  # it belongs to another user
                 path.unlink()
 
 
@@ -83,7 +83,7 @@ def remove_unfinished(folder: Path) -> None:
 def new_folder(path: Path) -> Iterator[Path]:
     """Yield a hidden folder beside `path`; it takes the place of `path` when the block ends without error.
 
-    The rename is durable; files in the folder are if whoever wrote them flushed them.
+    The rename is durable; files in the folder are if their writer flushed them.
 
     Raises
     ------

@@ -19,5 +19,5 @@ def utc_ago(age_ns: int) -> str:
 
 
 def is_of_unset_clock(utc: str) -> bool:
-    """Return whether a time (RFC 3339 in UTC) is that of a clock that had not been set since the host started."""
+    """True for a time (RFC 3339 in UTC) by a clock that had not been set since the host started."""
     return utc < rfc3339(EARLIEST)

@@ -43,7 +43,7 @@ class EdgeCounter:
         self._last, self._device_us = sequence, device_us
 
     def edge(self, sequence: int, device_us: int) -> Step:
-        """Take the number of an edge or test pulse."""
+        """Note the number of an edge or test pulse."""
         is_not_older = device_us == self._last_edge_us or device_us >= self._device_us
         if self._sequence is not None and sequence == self._last and is_not_older:
             return Step(sequence=self._sequence, missed=0, is_repeated=True)
@@ -52,7 +52,7 @@ class EdgeCounter:
         return step
 
     def status(self, last_sequence: int, device_us: int) -> Step:
-        """Take the last number of a status."""
+        """Note the last number of a status."""
         return self._advance(last_sequence, device_us, n_announced=0)
 
     def _advance(self, sequence: int, device_us: int, *, n_announced: int) -> Step:

@@ -33,7 +33,7 @@ RECENT_NS = 60_000_000_000
 
 @dataclass(slots=True, kw_only=True)
 class GateCounters:
-    """What was received from the gate since the driver was made, armed or not."""
+    """Counts of the lines received from the gate since the driver was made, armed or not."""
 
     lines: int = 0  # valid ones
     garbage: int = 0  # damaged lines, and bytes between lines
@@ -95,7 +95,7 @@ class GateListener:
         return 0.0 if self._blocked_since_ns is None else (now_ns - self._blocked_since_ns) / 1e9
 
     def troubles(self, now_ns: int) -> list[str]:
-        """Return what went wrong within the last minute, with the remedy."""
+        """Return the problems of the last minute, each with the remedy."""
         found = []
         late_ns = [late_ns for at_ns, late_ns in self._late_lines if now_ns - at_ns < RECENT_NS]
         if late_ns:

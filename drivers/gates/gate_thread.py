@@ -21,7 +21,7 @@ def trigger_at(
 
 
 def port_problem(error: Exception) -> str:
-    """Return why a serial port cannot be opened, with the remedy where there is one."""
+    """Return the reason why a serial port cannot be opened, with the remedy where there is one."""
     match error:
         case OSError(errno=errno.ENOENT):
             return "there is no such port: plug the gate in, and name it as under /dev/serial/by-id/"

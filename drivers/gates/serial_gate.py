@@ -83,7 +83,7 @@ class SerialGate:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What works but needs attention, with the remedy; never blocks."""
+        """Things that work but need attention, each with the remedy; never blocks."""
         now_ns = time.monotonic_ns()
         with self._heard:
             blocked_s, found = self._listener.blocked_s(now_ns), self._listener.troubles(now_ns)

@@ -17,7 +17,7 @@ MAX_RATE_HZ = 1000.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BeltCounters:
-    """What the belt dropped since it was opened."""
+    """Counts of the stones that the belt dropped since it was opened."""
 
     stones: int = 0
     empty: int = 0  # recorded exposures of the empty rig

@@ -29,7 +29,7 @@ class CameraClock:
             self._ptp_since_ns = None
 
     def device_ns(self, host_ns: int) -> int:
-        """Return what this clock shows at `host_ns`."""
+        """Convert monotonic time of the host, ns, to this clock's."""
         with self._lock:
             return self._device_ns(host_ns)
 

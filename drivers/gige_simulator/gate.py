@@ -43,7 +43,7 @@ class GateDesign:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GateCounters:
-    """What a simulated gate did since it was made."""
+    """Counts of a simulated gate's actions since it was made."""
 
     edges: int = 0  # counted
     test_pulses: int = 0

@@ -25,7 +25,7 @@ class GateFaults(FaultSwitches):
 
 
 def damaged(line: bytes, faults: GateFaults, dice: random.Random) -> tuple[bytes, bool]:
-    """Return what arrives of a line, and whether that still contains the whole of it.
+    """Return the bytes of a line that arrive, and True when they still contain the whole of it.
 
     Always draws the same number of random numbers, so that one fault does not shift the others.
     """

@@ -137,13 +137,13 @@ class GvcpChannel:
             self.release()
 
     def release(self) -> None:
-        """End control, whichever application has it."""
+        """End the control of any application."""
         self.controller, self._is_exclusive = None, False
         self._registers.put_word(CONTROL_PRIVILEGE, 0)
         self._device.released()
 
     def seize(self, peer: Peer, *, heard_ns: int) -> None:
-        """Give control to `peer`, whichever application has it; its heartbeat counts from `heard_ns`."""
+        """Give control to `peer`, taking it from any other; its heartbeat counts from `heard_ns`."""
         self._heard_ns = heard_ns
         self._take(peer, _CONTROL)
 
@@ -247,7 +247,7 @@ class GvcpChannel:
 
 
 def is_discovery(datagram: bytes) -> bool:
-    """Return whether a datagram is a discovery command, which is answered without delay."""
+    """True for a discovery command, which is answered without delay."""
     return datagram[2:4] == DISCOVERY.to_bytes(2, "big")
 
 

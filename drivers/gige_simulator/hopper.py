@@ -95,7 +95,7 @@ class Hopper:
 
 
 def read_fall(header: BundleHeader, recording: Recording) -> Fall:
-    """Return what fell when a bundle was recorded."""
+    """Return the fall of a recorded bundle: its trigger, and the images of its cameras as far as they can be read."""
     try:
         bundle = read_bundle(header.path, recording.camera_ids)
     except RecordingError:

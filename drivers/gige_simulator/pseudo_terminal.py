@@ -71,7 +71,7 @@ class PseudoTerminal:
             self.link.unlink(missing_ok=True)
 
     def read(self) -> bytes:
-        """Return what the host sent, empty if nothing."""
+        """Return the bytes that the host sent, empty if none."""
         if self._fd < 0:
             return b""
         try:

@@ -88,7 +88,7 @@ class RigRequests:
         }
 
     def state(self) -> Reply:
-        """Tell the state of belt, gate and cameras, and all their faults."""
+        """Report the state of belt, gate and cameras, and all their faults."""
         return {
             "belt": {
                 "is_running": self._belt.is_running,
@@ -111,11 +111,11 @@ class RigRequests:
         }
 
     def counters(self) -> Reply:
-        """Tell what belt, gate and cameras counted."""
+        """Report the counters of belt, gate and cameras."""
         return counters_of(self._cameras, self._gate, self._belt)
 
     def log(self, of: str) -> Reply:
-        """Tell what happened to a camera: [monotonic ns, event]."""
+        """Report the log of each camera, as [monotonic ns, event]."""
         return {name: [[entry.at_ns, entry.event] for entry in camera.log] for name, camera in self._of(of)}
 
     # --- to break ---

@@ -305,7 +305,7 @@ class Sensor:
                 yield line, registers.choice("LineSource", bank)
 
     def _is_high(self, source: str) -> bool:
-        """Return whether an output of this source is high during an exposure."""
+        """True when an output of this source is high during an exposure."""
         if source in USER_OUTPUTS:
             return bool(self._registers.number("UserOutputValue", USER_OUTPUTS.index(source)))
         return source == "ExposureActive"

@@ -69,13 +69,13 @@ class TriggerInput:
         ]
 
     def bounces(self, line: str, at_ns: int) -> bool:
-        """Return whether the debouncer of `line` drops this edge."""
+        """True when the debouncer of `line` drops this edge."""
         last_ns = self._last_edge_ns.get(line)
         self._last_edge_ns[line] = at_ns
         return last_ns is not None and at_ns - last_ns < self._current().debounce_ns[line]
 
     def starts_burst(self, banks: list[int]) -> bool:
-        """Return whether these triggers only enable the next frame trigger: with both on, a burst is one frame."""
+        """True when these triggers only enable the next frame trigger: with both on, a burst is one frame."""
         if not all(self._current().modes) or _BURST not in banks:
             return False
         self._is_burst_started = True

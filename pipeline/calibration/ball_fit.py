@@ -1,4 +1,4 @@
-"""Measure a ball with a calibrated rig: its centre, its diameter, and how far it deviates from a sphere.
+"""Measure a ball with a calibrated rig: centre, diameter, and deviation from a sphere.
 
 A viewing ray that touches a sphere passes its centre at exactly one radius, from whatever side. So the distances
 between the centre and all rays through the outlines tell everything: their mean is the radius; a part that varies

@@ -1,4 +1,4 @@
-"""How well ball drops fill the measuring volume and the images, and what to drop next."""
+"""Coverage of the measuring volume and of the images by ball drops, and the drops that are missing."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -69,7 +69,7 @@ class Coverage:
 
 
 def coverage(drops: Sequence[BallDrop], rig: RigCalibration, goals: CoverageGoals | None = None) -> Coverage:
-    """Return how well these drops fill the measuring volume of `rig`, which may be roughly calibrated."""
+    """Return the coverage of the measuring volume of `rig`, which may be roughly calibrated, by these drops."""
     goals = goals or CoverageGoals()
     located = [center for drop in drops if (center := ball_center_mm(drop, rig)) is not None]
     centers_mm = np.array(located).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Result of a calibration, with the evidence of how far it can be trusted."""
+"""Result of a calibration, with the evidence for its accuracy."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass

@@ -194,7 +194,7 @@ def _without_worst(
 
 
 def _studentized_px(solution: Solution, sightings: Sightings, noise: Noise, tolerances: Tolerances) -> Values:
-    """Return how far each view (V,) is off in px, corrected for how much it has pulled the solution towards itself.
+    """Return the studentized residual of each view (V,), px: corrected for its own pull on the solution.
 
     Without the view the sum of squares would fall by e^T W (I - H)^-1 e, where H is the hat matrix of its points. A
     camera with few views of far drops pulls so strongly that the plain residuals would blame the other cameras.

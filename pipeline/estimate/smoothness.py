@@ -1,4 +1,4 @@
-"""How smooth a body is, from place to place and as a whole, judged by its tangent rays.
+"""Smoothness of a body, from place to place and as a whole, judged by its tangent rays.
 
 On a body with corners and flat faces nearly every tangent ray passes through a corner or an edge, where
 the planes of other views cut it short. On a smooth body each ray touches at a point of its own,
@@ -65,7 +65,7 @@ def bulge_share(half_heights: Values, radii: Values) -> float:
 
 @compiled_within
 def smoothness(local: float, bulge: float) -> float:
-    """Return how smooth a place with these shares is: from 0 (corners) to 1 (smooth)."""
+    """Return the smoothness of a place with these shares, from 0 (corners) to 1 (smooth)."""
     return min(max(OFFSET + PER_LOCAL_SHARE * local + PER_BULGE_SHARE * bulge, 0.0), 1.0)
 
 

@@ -143,7 +143,7 @@ def _settle(
 def _find_farthest(
     points: PointsUV, ends: Indices, outwards: Floats, reach: Floats, farthest: Indices
 ) -> None:
-    """Find the farthest point (V, A) of each outline in each direction (2, A), and how far it reaches (V, A).
+    """Find the farthest point (V, A) of each outline in each direction (2, A), and its distance along it (V, A).
 
     In vectors, as the directions are last.
     """

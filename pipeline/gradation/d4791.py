@@ -57,7 +57,7 @@ class FormFraction:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class D4791:
-    """What ASTM D4791 says of a lot."""
+    """Shape of a lot by ASTM D4791."""
 
     whole: Shares  # of all measured particles together
     fractions: tuple[FormFraction, ...]  # by rising size, those that the standard tests
@@ -141,5 +141,5 @@ def _mean_masses(sample: Sample, sizes: Sequence[MeasuredRange]) -> Values:
 
 
 def _is_inside(sample: Sample, size: MeasuredRange) -> NDArray[np.bool_]:
-    """Return which stones lie in a fraction, their measures taken for the truth."""
+    """Mark the stones that lie in a fraction, their measures taken for the truth."""
     return chance_between(sample.as_measured, size.min_mm, size.max_mm) > 0

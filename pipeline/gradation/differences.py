@@ -69,7 +69,7 @@ def difference_of_versions(
 
 
 def significant(p_values: Mapping[str, float]) -> set[str]:
-    """Return which of several figures differ by more than chance, by Holm's step-down method."""
+    """Return those of several figures that differ by more than chance, by Holm's step-down method."""
     found: set[str] = set()
     for n_done, (name, p_value) in enumerate(sorted(p_values.items(), key=lambda item: item[1])):
         if p_value > ALPHA / (len(p_values) - n_done):

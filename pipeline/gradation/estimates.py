@@ -66,7 +66,7 @@ class Estimate:
     n_stones: int = 0
     """Stones that it rests on."""
     n_effective: float = 0.0
-    """So many stones of equal mass would tell as much."""
+    """Effective sample size: number of equal-mass stones with the same sampling error."""
 
     @property
     def errors(self) -> Errors:
@@ -102,5 +102,5 @@ def estimate(
 
 
 def standard_errors_to_either_end(degrees_of_freedom: float) -> float:
-    """Return how many standard errors the interval reaches to either side, by Student's t."""
+    """Return the half width of the confidence interval in standard errors, by Student's t."""
     return float(stdtrit(max(degrees_of_freedom, 1.0), (1 + COVERAGE) / 2))

@@ -28,7 +28,7 @@ FAR_SDS = 8.0
 
 
 class Basis(StrEnum):
-    """What a share is a share of."""
+    """Quantity that a share refers to."""
 
     MASS = "mass"
     NUMBER = "number"

@@ -22,7 +22,7 @@ from pipeline.gradation.stones import Lot, UnmeasuredMass, unmeasured_mass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gradation:
-    """What a lot is: everything that a report prints of its stones."""
+    """Gradation of a lot: all figures of its stones that a report prints."""
 
     n_stones: int
     volume_mm3: float
@@ -48,7 +48,7 @@ def evaluate(
     scale_sd: float = 0.0,
     fractions: Sequence[FlakinessFraction] = EN_933_3,
 ) -> Gradation:
-    """Return the gradation of a lot at any sieves; equal to the last digit in whatever order its stones were folded.
+    """Return the gradation of a lot at any sieves; equal to the last digit for any order of its stones.
 
     `scale_sd` is the relative standard deviation of all lengths, by the calibration (`length_sd_percent` / 100).
     `fractions` are those of the flakiness index. Masses are volumes times one density, which cancels in percentages.

@@ -66,7 +66,7 @@ def size_influences(lot: Lot, percent: float, measured: MeasuredRange) -> Influe
 
 
 def rate_influences(times_s: Values) -> Influences | None:
-    """Return how many stones fall a minute while the crusher runs, from their times; None without two in a row."""
+    """Return the number of stones a minute while the crusher runs, from their times; None without two in a row."""
     gaps_s = np.diff(times_s)
     gaps_s = gaps_s[gaps_s <= PAUSE_S]
     total_s = float(gaps_s.sum())

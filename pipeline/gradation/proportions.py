@@ -1,4 +1,4 @@
-"""What indices of shape ask of a stone: between which sieves it lies, and how its lengths compare."""
+"""Chances, for shape indices, that a stone lies between two sieves and that its lengths exceed a ratio."""
 
 from collections.abc import Sequence
 from math import hypot

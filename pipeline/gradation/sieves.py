@@ -1,4 +1,4 @@
-"""Sets of sieves, the range of sizes that is measured, and the test portions that standards ask for."""
+"""Sets of sieves, the range of sizes that is measured, and the test portions that standards require."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

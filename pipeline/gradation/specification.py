@@ -50,7 +50,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Specification:
-    """What a product must be: limits of the passing by sieve, and of the indices."""
+    """Limits of a product: of the passing by sieve, and of the indices."""
 
     name: str
     source: str
@@ -147,7 +147,7 @@ def judge_figure(figure: Estimate, limits: Limits, step_percent: float) -> Judge
 
 
 def _more_stones(figure: Estimate, low: float, high: float) -> int | None:
-    """Return how many stones more let the interval shrink off the limits that it reaches over, if the figure stays.
+    """Number of further stones that shrink the interval off the limits that it reaches over, if the figure stays.
 
     Random errors fall with the root of the number of stones, what stones that did not fall would change with the number
     itself; systematic errors stay.

@@ -14,7 +14,7 @@ from pipeline.arrays import Floats, Values
 
 
 class Fate(StrEnum):
-    """What became of a stone; the words of a result's outcome."""
+    """Fate of a stone; the words of a result's outcome."""
 
     MEASURED = "measured"
     REJECTED = "rejected"
@@ -143,7 +143,7 @@ def merge(a: Lot, b: Lot) -> Lot:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnmeasuredCount:
-    """How many stones were not measured for one reason."""
+    """Number of stones that were not measured for one reason."""
 
     fate: Fate
     reason: str
@@ -152,10 +152,10 @@ class UnmeasuredCount:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnmeasuredMass:
-    """What fell and was not measured, beside the mass that was: percent of the measured mass.
+    """Mass that fell and was not measured, in percent of the measured mass.
 
     `expected_percent` takes each stone for the mean one. `at_most_percent` takes each for the heaviest measured one
-    or a sphere as large as the field of view, whichever is heavier: a clipped stone may be just that large.
+    or a sphere as large as the field of view, the heavier of the two: a clipped stone may be just that large.
     """
 
     n_stones: int
@@ -165,7 +165,7 @@ class UnmeasuredMass:
 
 
 def unmeasured_mass(lot: Lot, largest_mm: float) -> UnmeasuredMass:
-    """Return how much may be missing in the curve; `largest_mm` is the size of the largest stone that is measured."""
+    """Return the mass that may be missing in the curve; `largest_mm` is the largest size that can be measured."""
     counts = tuple(
         UnmeasuredCount(fate=fate, reason=reason, n_stones=n)
         for (fate, reason), n in sorted(lot.counts.items())

@@ -90,6 +90,6 @@ def _rotations(loop: Loop) -> list[Loop]:
 
 
 def _spans_no_face(loop: Loop) -> bool:
-    """Tell whether no diagonal from the loop's first edge lies on a face of the cube."""
+    """True when no diagonal from the loop's first edge lies on a face of the cube."""
     diagonals = [{*EDGES[loop[0]], *EDGES[other]} for other in loop[2:-1]]
     return not any(corners <= set(face) for corners in diagonals for face in _faces())

@@ -23,7 +23,7 @@ class Mesher(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshingParameters:
-    """How the field becomes a mesh."""
+    """Parameters of turning the field into a mesh."""
 
     mesher: Mesher = (
         Mesher.OWN

@@ -33,7 +33,7 @@ def without_crossings(vertices_mm: PointsMM, faces: Faces) -> PointsMM | None:
 
 
 def crossing_vertices(vertices_mm: PointsMM, faces: Faces, is_new: Flags | None = None) -> Flags:
-    """Return which vertices (V,) are of triangles that cross another, which shares no vertex with them.
+    """Mark vertices (V,) of triangles that cross another one with which they share no vertex.
 
     With `is_new` (V,), only pairs are compared one of which has such a vertex.
     """
@@ -195,7 +195,7 @@ def _neighbour_means(values: PointsMM, faces: Faces) -> PointsMM:
 
 @compiled_within
 def _cross(vertices_mm: PointsMM, a: int, b: int, c: int, p: int, q: int, r: int) -> bool:
-    """Return whether two triangles cross: an edge of one passes through the other."""
+    """True when two triangles cross: an edge of one passes through the other."""
     if _is_beside(vertices_mm, a, b, c, p, q, r) or _is_beside(vertices_mm, p, q, r, a, b, c):
         return False  # as most that are near, for a quarter of the work
     return (
@@ -210,7 +210,7 @@ def _cross(vertices_mm: PointsMM, a: int, b: int, c: int, p: int, q: int, r: int
 
 @compiled_within
 def _is_beside(vertices_mm: PointsMM, a: int, b: int, c: int, p: int, q: int, r: int) -> bool:
-    """Return whether p, q and r all lie on one side of the plane of a, b and c."""
+    """True when p, q and r all lie on one side of the plane of a, b and c."""
     one, two, three = (
         _volume6(vertices_mm, p, a, b, c),
         _volume6(vertices_mm, q, a, b, c),
@@ -221,7 +221,7 @@ def _is_beside(vertices_mm: PointsMM, a: int, b: int, c: int, p: int, q: int, r:
 
 @compiled_within
 def _passes_through(vertices_mm: PointsMM, a: int, b: int, p: int, q: int, r: int) -> bool:
-    """Return whether the segment from a to b passes through the triangle p, q, r."""
+    """True when the segment from a to b passes through the triangle p, q, r."""
     one, other = _volume6(vertices_mm, a, p, q, r), _volume6(vertices_mm, b, p, q, r)
     if one * other >= 0:
         return False

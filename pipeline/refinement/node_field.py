@@ -139,7 +139,7 @@ def beyond_chance(shifts_mm: Values, sure: Values, nodes: Nodes) -> Values:
 def patch_sagittas(
     points_mm: PointsMM, normals: Directions, nodes: Nodes, half_mm: float, gains: Values, steps: Values
 ) -> Values:
-    """Return how far (K,) the surface's mean over a patch lies from its middle; negative, below it, where convex.
+    """Height (K,) of the surface's mean over a patch above its middle; negative where convex.
 
     A flat patch is found at the mean of what it covers. `gains` weight its samples, at `steps` of the half edge.
     """

@@ -156,7 +156,7 @@ def _link(
 
 @compiled_within
 def _has_edge_between(points_mm: PointsMM, normals: Directions, i: int, j: int) -> bool:
-    """Return whether two nodes are on faces that meet in a convex edge: each below the plane of the other."""
+    """True when two nodes are on faces that meet in a convex edge: each below the plane of the other."""
     offset_mm = points_mm[j] - points_mm[i]
     is_convex = offset_mm @ normals[i] < 0 < offset_mm @ normals[j]
     return is_convex and cosine(normals[i], normals[j]) > OTHER_SIDE

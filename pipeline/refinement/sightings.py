@@ -74,7 +74,7 @@ def photo_views(frames: Mapping[CameraId, Frame], views: PreparedViews, vertices
 
 
 def _inner(silhouette: Silhouette, corner_uv: Indices, size: tuple[int, int]) -> Mask:
-    """Return which pixels of the coarse image of a region are so far within the outline that no wall shines in."""
+    """Mask the pixels of the coarse image of a region that are so far within the outline that no wall shines in."""
     canvas = np.zeros((size[0] // COARSE + 1, size[1] // COARSE + 1), np.uint8)
     own, labels = [], []
     for n, begin, offset, n_labels in zip(
@@ -125,7 +125,7 @@ def depth_maps(views: PhotoViews, points_mm: PointsMM) -> Annotated[Singles, "(V
 
 @compiled_within
 def hidden_beyond_mm(focal_px: float, depth_mm: float, cosine: float) -> float:
-    """Return how far behind the depth map a point counts as seen; `cosine` of its normal to the line of sight."""
+    """Tolerance of the depth test: points further behind the map are hidden; `cosine` of normal and line of sight."""
     return SLACK_MM + (SPLAT + 0.5) * COARSE * depth_mm / focal_px * np.sqrt(1 - cosine * cosine) / cosine
 
 

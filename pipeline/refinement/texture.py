@@ -99,7 +99,7 @@ def warm_up() -> Greys | None:
 
 
 def _nearest(faces: Faces, seeds: Indices, n_vertices: int) -> Indices:
-    """Return which of the seeds, by its place among them, is nearest to each vertex (N,) along edges."""
+    """Return the index of the seed that is nearest to each vertex (N,) along edges."""
     owners = np.full(n_vertices, -1)
     owners[seeds] = np.arange(len(seeds))
     _flood(faces, owners, np.where(owners < 0, len(faces), 0))
@@ -181,7 +181,7 @@ def _average(greys: Singles, weights: Singles, seen_by: Indices32, brightness: V
 
 
 def _brightness(greys: Singles, weights: Singles, seen_by: Indices32, n_views: int) -> Values:
-    """Return how bright each view (V,) is beside the others, by the medians of how the same nodes differ in two."""
+    """Return the relative brightness of each view (V,), by the median differences of nodes that two views share."""
     is_used = (weights > 0) & (greys >= LEAST_GREY) & (greys <= MOST_GREY)
     logs = np.log(np.where(is_used, greys, 1.0))
     firsts, seconds = np.triu_indices(seen_by.shape[1], 1)

@@ -25,7 +25,7 @@ Method = Literal["nominal", "paper", "bundle", "imported"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lens:
-    """What blurs the image of a point out of focus, see `pipeline.rig.depth_blur`.
+    """Lens parameters that blur a point out of focus, see `pipeline.rig.depth_blur`.
 
     Images show the aperture's diameter alone: the nominal focal length only turns it into the number on the barrel.
     """

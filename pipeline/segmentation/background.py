@@ -116,7 +116,7 @@ class CameraBackground:
 
     @cached_property
     def _flash_wall(self) -> tuple[Mask, Singles]:
-        """Which of the sparse blocks the flash is estimated from, and their means (N,)."""
+        """Choose the sparse blocks that the flash is estimated from, with their means (N,)."""
         wall = np.maximum(self.coarse[SPARSE], 1)
         is_lit = np.asarray(wall > MIN_WALL_GREY)
         return is_lit, wall[is_lit]
@@ -173,7 +173,7 @@ def _updated(known: CameraBackground, image: FloatImage) -> CameraBackground:
 
 
 def _was_cleaned(image: FloatImage, clean: FloatImage | None) -> bool:
-    """Return whether dust that the flat field (H/16, W/16) was learnt with is gone: the flat field must be renewed."""
+    """True when dust that the flat field (H/16, W/16) was learnt with is gone: the flat field must be renewed."""
     return clean is not None and bool(
         np.mean(coarsen(coarsen(image)) > CLEANED_GAIN * np.maximum(clean, 1)) > CLEANED_SHARE
     )

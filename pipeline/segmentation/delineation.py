@@ -254,7 +254,7 @@ def no_body(frame: Frame, status: ViewStatus, found_by: FoundBy = FoundBy.BACKGR
 
 
 def _is_noise(labels: GreyImage) -> bool:
-    """Return whether labels (h, w) change too often along the rows for a body."""
+    """True when labels (h, w) change too often along the rows for a body."""
     rows = labels[::NOISE_ROWS]
     return bool(np.count_nonzero(rows[:, 1:] != rows[:, :-1]) > MAX_TURNS * len(rows))
 
@@ -296,7 +296,7 @@ def _largest_with_holes_filled(labels: GreyImage, hole_px: int) -> tuple[GreyIma
 
 
 def _count_inside(labels: GreyImage, contour: NDArray[np.int32]) -> int:
-    """Return how many pixels of labels (h, w) are inside and within an outer contour."""
+    """Return the number of pixels of labels (h, w) that are inside and within an outer contour."""
     u, v, width, height = cv2.boundingRect(contour)
     part = np.zeros((height, width), np.uint8)
     cv2.drawContours(part, [contour], 0, int(INSIDE), cv2.FILLED, offset=(-u, -v))

@@ -101,7 +101,7 @@ def find_doubtful(
     scales: Singles,
     scratch: Singles,
 ) -> int:
-    """Return how many of the seen points (N, 2), moved by `move_to_steepest`, turn out not to lie on the body's edge.
+    """Return the number of seen points (N, 2), moved by `move_to_steepest`, that turn out to lie off the body's edge.
 
     Pixels of `labels` (h, w) outside of the body and beside such a point become unknown. Noise alone puts a point off
     now and then, hardly ever two side by side.

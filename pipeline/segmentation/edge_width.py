@@ -171,7 +171,7 @@ def _fill_profile(
 
 @compiled_within
 def _width(profile: Singles, step_px: np.float32) -> tuple[np.float32, np.float32]:
-    """Return the sigma of the edge in a profile, infinite where its step is too low, and how far inwards it lies."""
+    """Return the sigma of the edge in a profile, infinite where its step is too low, and its distance inwards."""
     within, beyond = np.float32(0), np.float32(0)
     for k in range(N_PLATEAU):
         beyond += profile[k] / np.float32(N_PLATEAU)

@@ -1,4 +1,4 @@
-"""What one image would show without the body, as far as the image and the empty rig tell.
+"""View without the body, estimated from the image itself and from the empty rig.
 
 With a background it is the background in this flash; without one, a smooth surface through the outer parts of
 the image. Either is corrected where the body ends: the ratio of the image to the expected view just outside of
@@ -37,7 +37,7 @@ class ExpectedView:
 
 
 def expected_view(coarse: GreyImage, known: CameraBackground | None) -> ExpectedView:
-    """Return what to expect in an image of which every fourth row and column (H/4, W/4) is given."""
+    """Return the expected view behind a body, for an image given by every fourth row and column (H/4, W/4)."""
     if known is None:
         surface = _smooth_surface(coarse)
         return ExpectedView(coarse=surface, wall=max(float(np.median(surface)), 1.0), levels=None, gain=1.0)
@@ -85,7 +85,7 @@ def _window_sums(values: FloatImage, half_width: int) -> FloatImage:
 
 
 def _window_sizes(shape: tuple[int, ...], half_width: int) -> FloatImage:
-    """Return how many values (h, w) a square window around each of them holds."""
+    """Return the number of values (h, w) in a square window around each of them, cut at the borders."""
     rows, columns = (
         np.minimum(np.arange(half_width + 1, size + half_width + 1), size)
         - np.maximum(np.arange(-half_width, size - half_width), 0)

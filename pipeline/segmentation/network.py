@@ -53,7 +53,7 @@ RUNTIME_ERRORS = (
 
 
 class NetworkKind(StrEnum):
-    """What a network takes and returns."""
+    """Kind of a network, by its inputs and outputs."""
 
     OURS = "stonefall"
     U2NET = "u2net"
@@ -209,7 +209,7 @@ def _first_session(model: bytes, providers: Sequence[str], start: StartSession) 
         session = start(model, (CPU,))
     except RUNTIME_ERRORS as err:
         raise ModelError(
-            f"expected an ONNX model, found {len(model)} bytes that are none: {_line(err)}"
+            f"expected an ONNX model, found {len(model)} bytes that are not one: {_line(err)}"
         ) from err
     return session, f"{', '.join(problems)}, the CPU computes" if problems else None
 
@@ -238,7 +238,7 @@ def _sizes_px(
 
 
 def _fits(shape: Sequence[int | str | None], channels: int) -> bool:
-    """Return whether a shape may be 1 x channels x N x N; what is left open is no number."""
+    """True when a shape may be 1 x channels x N x N; a dimension that is left open is no number."""
     batch, found, height, width = shape
     return (not isinstance(batch, int) or batch == 1) and found == channels and _same(height, width)
 

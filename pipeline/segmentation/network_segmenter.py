@@ -181,7 +181,7 @@ class NetworkSegmenter:
 def _lit_background(
     prediction: Prediction, expected: ExpectedView, light: FloatImage, shape: tuple[int, ...], noise: float
 ) -> LitBackground:
-    """Return what is expected where the prediction's region is in an image (H, W) of such noise."""
+    """Return the expected background in the prediction's region of an image (H, W) with this noise."""
     if expected.levels is not None:
         rows, columns = prediction.region.within(shape)
         return LitBackground(

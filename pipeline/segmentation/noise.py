@@ -1,4 +1,4 @@
-"""The noise of an image, and an image smoothed as far as its noise asks for.
+"""The noise of an image, and smoothing by as much as its noise requires.
 
 An edge is found in noise by integrating along and across it. To smooth the image does both at once, and the width that
 it adds to an edge is measured with the rest.

@@ -53,7 +53,7 @@ WIDTH_SIGMAS = 2.563
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewOptics:
-    """How well one camera saw in one exposure; `None` where the view does not show it."""
+    """Image quality of one camera in one exposure; `None` where the view does not show it."""
 
     brightness: float  # light on the plain wall, 1: as in the clean rig
     gradient_uv: tuple[
@@ -90,7 +90,7 @@ def observe_all(
 def observe_optics(
     frame: Frame, background: BackgroundModel, silhouette: Silhouette | None
 ) -> ViewOptics | None:
-    """Return what the frame says about camera, window and light; `None` without a background or without visible wall.
+    """Return the optical figures of a view; `None` without a background or without visible wall.
 
     `silhouette` is what was found in the frame, `None` for an exposure of the empty rig.
     """

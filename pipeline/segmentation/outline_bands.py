@@ -1,4 +1,4 @@
-"""How much the two bands along a body's outline, wall outside and rim inside, differ from the empty rig.
+"""Differences from the empty rig in two bands along a body's outline: wall outside, rim inside.
 
 Everything is in blocks of 4 px.
 """
@@ -32,7 +32,7 @@ mirrored, but no band reaches there."""
 
 
 class BandImages(NamedTuple):
-    """What is compared, in blocks (H/4, W/4) of an image (H, W)."""
+    """Images that are compared, in blocks (H/4, W/4) of an image (H, W)."""
 
     seen: GreyImage  # one pixel of each block
     expected: GreyImage  # the same without the body, `gain` not applied
@@ -51,7 +51,7 @@ class BandShares(NamedTuple):
 def band_shares(
     labels: GreyImage, corner_uv: tuple[int, int], images: BandImages, max_error: float, clear_contrast: float
 ) -> BandShares:
-    """Return how much of the wall around a body differs by more than `max_error`, and of its rim by less than is clear.
+    """Return the share of the wall around a body that differs by more than `max_error`, and of its rim that is faint.
 
     `labels` (h, w) are the silhouette's, whose pixel (0, 0) is `corner_uv` of the image. `max_error` and
     `clear_contrast` are shares of the expected grey level.

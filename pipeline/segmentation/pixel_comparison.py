@@ -20,7 +20,7 @@ BORDER_CELLS = 2
 
 
 class Thresholds(NamedTuple):
-    """What counts as a deviation from the empty view's grey levels."""
+    """Limits beyond which grey levels deviate from the empty view."""
 
     gain: np.float32  # factor on them: the strength of the flash
     min_contrast: np.float32  # least deviation of a body, as a share of the grey level

@@ -1,4 +1,4 @@
-"""What a network predicts for a region of an image: the pixels of the body, and those it cannot tell."""
+"""Prediction of a network for a region of an image: the pixels of the body, and the uncertain ones."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ or a screw of the housing."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prediction:
-    """What the network says of a region; arrays have the region's height and width."""
+    """Prediction for a region; arrays have the region's height and width."""
 
     region: Region
     image: FloatImage  # as a share of the plain wall
@@ -43,7 +43,7 @@ class Prediction:
         return x + region.left, y + region.top, width, height
 
     def lacks_margin(self, shape: tuple[int, ...]) -> bool:
-        """Return whether the region cuts the body's margin where the image (H, W) goes on."""
+        """True when the region cuts the body's margin where the image (H, W) goes on."""
         region = self.region
         x, y, width, height = cv2.boundingRect(self.body)
         (rows, columns), margin = region.within(shape), _margin(region)

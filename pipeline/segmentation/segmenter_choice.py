@@ -124,7 +124,7 @@ class ChoosingSegmenter:
     def _find_doubt(
         self, frame: Frame, background: BackgroundModel, found: Silhouette, compared: ComparedView | None
     ) -> str | None:
-        """Return why the comparison with the background is not to be trusted, `None` if it is."""
+        """Return the reason to distrust the comparison with the background, `None` if there is none."""
         if compared is None:
             return "no background yet"
         if self.wanted != "auto":
@@ -169,7 +169,7 @@ def _unseen_share(outline_uv: PointsUV) -> float:
 
 
 def unresolved_share(found: Silhouette) -> float:
-    """Return how much is not known, 0..2: the share of the outline, plus that of what may be body."""
+    """Return the unresolved share, 0..2: of the outline, plus that of the pixels that may be body."""
     may_be_body = int(np.count_nonzero(found.labels != OUTSIDE))
     unknown = np.count_nonzero(found.labels == UNKNOWN) / max(may_be_body, 1)
     return unseen_share(found) + unknown

@@ -132,7 +132,7 @@ class Silhouette:
 
 
 def is_beside_gap(outline_uv: PointsUV) -> Flags:
-    """Return which points of an outline (N, 2) border on an unseen stretch: the body may reach further there."""
+    """Mark points of an outline (N, 2) that border on an unseen stretch: the body may reach further there."""
     before = np.linalg.norm(outline_uv - np.roll(outline_uv, 1, axis=0), axis=1) > MAX_STEP_PX
     return before | np.roll(before, -1)
 

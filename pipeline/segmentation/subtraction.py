@@ -27,7 +27,7 @@ Box = tuple[int, int, int, int]  # x, y, width, height
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SegmentationParameters:
-    """What counts as a body."""
+    """Limits that define a body in the comparison with the background."""
 
     min_contrast: float = 0.12  # least difference from the background, as a share of it, that is a body
     dark_share: float = 0.5  # background below this share of the image's typical level is unknown
@@ -130,7 +130,7 @@ class BackgroundSegmenter:
         return ViewStatus.OK, (left + u, top + v, width, height)
 
     def thresholds(self, seen: GreyImage, known: CameraBackground) -> Thresholds:
-        """Return what counts as a deviation from the empty view in blocks (H/4, W/4)."""
+        """Return the limits beyond which blocks (H/4, W/4) deviate from the empty view."""
         return Thresholds(
             gain=np.float32(known.gain(seen)),
             min_contrast=np.float32(self.parameters.min_contrast),

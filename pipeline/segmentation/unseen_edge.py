@@ -1,4 +1,4 @@
-"""What may be body where its edge was not seen: up to where the edge that was seen on either side leads.
+"""Pixels that may be body where its edge was not seen: up to the tangents of the edge on either side.
 
 The outline of a convex body lies, between two of its points, within the triangle of their chord and the tangents at
 both. So where the edge was not seen all of that triangle is unknown, and with it the bay that the edge seemed to have

@@ -21,7 +21,7 @@ PITCH_MM = 0.5
 
 
 class SurfaceKind(StrEnum):
-    """What the grey of a body's surface is like."""
+    """Texture of a body's surface."""
 
     MOTTLED = "mottled"  # spots on three scales, and speckles as large as the faces of the mesh
     GRANITE = "granite"  # crystals of three minerals
@@ -52,7 +52,7 @@ class Body:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Looks:
-    """How the bodies of a recording or a bench look, one after another."""
+    """Surfaces and light of the bodies of a recording or a bench, one after another."""
 
     surfaces: tuple[SurfaceKind, ...] = (SurfaceKind.MOTTLED,)
     gloss: float = 0.0

@@ -71,7 +71,7 @@ def dust(strength: float, rng: np.random.Generator, image_size_px: tuple[int, in
 def dimmed_sector(
     rig: RigCalibration, camera: CameraCalibration, strength: float, direction: Vector
 ) -> Disturbance:
-    """Return what `camera` sees when the panel of the dome in a `direction` from the centre is weaker by a share.
+    """Return the change of a camera's view when the panel of the dome in a `direction` from the centre is dimmed.
 
     The wall is dark where the panel itself is in sight; a body is dark on the side that faces the panel.
     """

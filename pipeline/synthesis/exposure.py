@@ -20,7 +20,7 @@ BLUR_PX = (0.3, 10.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExposureParameters:
-    """How an exposure is taken; the defaults are the design's."""
+    """Parameters of an exposure; the defaults are the design's."""
 
     exposure_us: float = 20.0
     fall_speed_mm_s: float = 2430.0

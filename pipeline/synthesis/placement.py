@@ -65,7 +65,7 @@ def _placed(
 
 
 def _cut_off_px(points_world_mm: PointsMM, rig: RigCalibration) -> float:
-    """Return how far the points reach beyond images or volume; at most 0 if they are inside."""
+    """Largest distance, px, of the points beyond images or volume; at most 0 if they are inside."""
     beyond = [float(np.abs(points_world_mm).max() - HALF_VOLUME_MM) * PX_PER_MM]
     for camera in rig.cameras:
         pixels_uv, _ = camera.project(points_world_mm)

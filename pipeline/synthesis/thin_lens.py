@@ -1,4 +1,4 @@
-"""A thin lens of finite aperture: how far a point out of focus is spread, and how the image darkens to its corners.
+"""A thin lens of finite aperture: defocus blur, and vignetting towards the corners.
 
 A point at depth z, seen through the point a (2,) mm of the aperture, lands at the normalized coordinates
 `P_xy / P_z + a (1 / focus - 1 / P_z)`: the plane in focus stays where a pinhole has it.

@@ -1,4 +1,4 @@
-"""How far from the truth one measured stone may be, by cause, and the word for it."""
+"""Uncertainty of one measured stone, by cause, and the word for it."""
 
 from pipeline.uncertainty.causes import Cause
 from pipeline.uncertainty.evidence import Evidence, ViewEvidence, evidence_of

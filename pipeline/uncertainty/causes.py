@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class Cause(StrEnum):
-    """What may have moved the measured surface; a word of the REST contract."""
+    """Cause that may have moved the measured surface; a word of the REST contract."""
 
     PIXELS = "pixels"
     """Pixels and lens at their sharpest: no edge is placed better than that."""

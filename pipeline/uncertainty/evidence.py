@@ -1,4 +1,4 @@
-"""What the chain knows about how well one stone was seen: collected here, judged in `model`."""
+"""Evidence of the chain on the visibility of one stone: collected here, judged in `model`."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ RMS_PX = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewEvidence:
-    """How well one view showed the stone's outline; lengths in pixels of `pixel_mm` at the stone."""
+    """Quality of the stone's outline in one view; lengths in pixels of `pixel_mm` at the stone."""
 
     pixel_mm: float
     edge_sigma_px: float  # blur of the edge, all of it
@@ -45,7 +45,7 @@ class ViewEvidence:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """How well the views used showed one stone, and what they leave of it."""
+    """Quality of the views used of one stone, and of the hull that they leave."""
 
     views: tuple[ViewEvidence, ...]
     volume_mm3: float

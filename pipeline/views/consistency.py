@@ -183,7 +183,7 @@ def _judgement(
 def _denied_ratio(
     clearance_px: Values, camera: CameraCalibration, radius_mm: float, parameters: ConsistencyParameters
 ) -> float:
-    """Return how far a view excludes what the others show, relative to the limit: above 1, too far."""
+    """Median distance by which a view excludes points of the others, as a ratio to its limit: above 1, too far."""
     if len(clearance_px) == 0:
         return 0.0
     # the smallest diameter of a body in a sphere around its box is some 1 / sqrt(3) of the sphere's

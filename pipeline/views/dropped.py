@@ -1,4 +1,4 @@
-"""Why a view takes no part in a measurement: a cause to decide by, and the text for people made of it."""
+"""Reason why a view is left out of a measurement: a cause to decide by, and the text for people made of it."""
 
 from dataclasses import dataclass
 from enum import StrEnum

@@ -81,7 +81,7 @@ def _fixed_point(points_uv: PointsUV) -> NDArray[np.int32]:
 
 
 def _are_closed(outlines: StackedOutlines) -> Flags:
-    """Tell which outlines (V,) have no gap anywhere; every outline has a point."""
+    """Mark outlines (V,) without any gap; every outline has a point."""
     points_uv, ends = outlines
     previous = np.arange(-1, len(points_uv) - 1)
     previous[ends[:-1]] = ends[1:] - 1
@@ -90,7 +90,7 @@ def _are_closed(outlines: StackedOutlines) -> Flags:
 
 
 def is_edge_seen(outlines: StackedOutlines, chosen: ViewCorners, reach: int) -> NDArray[np.bool_]:
-    """Tell (V, A) for chosen points (V, A) whether the `reach` steps before and after them have no gap."""
+    """Mark chosen points (V, A) whose `reach` steps before and after them have no gap."""
     is_seen = np.empty(chosen.shape, np.bool_)
     _look_for_gaps(outlines.points_uv, outlines.ends, chosen, reach, is_seen)
     return is_seen

@@ -97,7 +97,7 @@ def require_enough_views(
 
 
 def shows_several(silhouettes: SilhouetteSet) -> bool:
-    """Return whether any view shows more than one body: what only that view would have told is unknown."""
+    """True when any view shows more than one body, so that its evidence is missing."""
     return any(silhouette.status is ViewStatus.MULTIPLE for silhouette in silhouettes.values())
 
 

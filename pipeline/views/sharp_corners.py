@@ -81,7 +81,7 @@ def _sharpen(
 def _edge_beside(
     points: PointsUV, begin: int, n: int, corner: int, skipped: int, sense: int
 ) -> tuple[bool, float, float, float, float]:
-    """Return whether an outline has a gap near a corner, and a point and the direction of its edge away from there."""
+    """Return the edge of an outline beside a corner: True for a gap near it, a point, and the direction away."""
     half = EDGE_POINTS // 2
     near_u = near_v = far_u = far_v = 0.0
     has_gap = False

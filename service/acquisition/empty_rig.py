@@ -19,7 +19,7 @@ QUIET_S = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EmptyRigParameters:
-    """How often the rig is exposed without a stone."""
+    """Schedule of exposures of the empty rig."""
 
     at_start: int = 5  # exposures after arming
     every_s: float = 60.0  # while no stone falls; 0: never

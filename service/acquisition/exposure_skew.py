@@ -57,13 +57,13 @@ class ExposureSkew:
                 self._clocks[camera] = _Clock(now_ns, self._common_ns)
 
     def skew_us(self, camera: CameraId) -> float | None:
-        """Return how far the camera's latest exposures typically differed from the others', None while unknown."""
+        """Smoothed deviation of the camera's exposure times from the others', us; None while unknown."""
         clock = self._clocks.get(camera)
         return None if clock is None else clock.skew_us
 
 
 def _is_continuous(clock: _Clock, now_ns: int, common_ns: float) -> bool:
-    """Return whether the clock has run on since its last reading, without being set."""
+    """True when the clock has run on since its last reading, without being set."""
     passed_ns = common_ns - clock.common_ns
     return abs(now_ns - clock.device_ns - passed_ns) <= MAX_DRIFT * passed_ns + MAX_SKEW_NS
 

@@ -1,4 +1,4 @@
-"""Watch what the light gate tells late or not at all: cameras and the gate's own counter show it. Time is an argument.
+"""Watch for late and missing announcements of the light gate, by cameras and its own counter. Time is an argument.
 
 Each trouble is named, with the remedy, for a minute after it was seen last.
 """
@@ -45,7 +45,7 @@ class GateWatch:
         self._early_ms: deque[float] = deque(maxlen=EARLY_STONES)
 
     def note_bundle(self, bundle: FrameBundle, now_s: float) -> None:
-        """Take a bundle of any trigger; bundles without frames say nothing of the gate, unless it announced them."""
+        """Note a bundle of any trigger; one without frames says nothing of the gate, unless it announced it."""
         trigger = bundle.trigger
         if not trigger.is_announced:
             if bundle.frames:
@@ -60,17 +60,17 @@ class GateWatch:
             self._early_ms.append(self._bundling.expected_delay_ms - delay_ms)
 
     def note_late(self, now_s: float) -> None:
-        """Take an announcement that came when its stone had become an orphan."""
+        """Note an announcement that came when its stone had become an orphan."""
         self._n_silent = 0
         self._late.add(1, now_s)
 
     def note_gap(self, gap: TriggersLost, now_s: float) -> None:
-        """Take a gap in the gate's own counter."""
+        """Note a gap in the gate's own counter."""
         self._counted.add(gap.count, now_s)
         self._counted_why = gap.reason
 
     def warnings(self, now_s: float) -> tuple[str, ...]:
-        """Return what is wrong now, with the remedy."""
+        """Return the present troubles of the gate, each with the remedy."""
         n_late, n_counted = self._late.count(now_s), self._counted.count(now_s)
         n_unannounced = self._unannounced.count(now_s) - n_late
         found = []

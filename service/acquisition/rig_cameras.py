@@ -141,7 +141,7 @@ class RigCameras:
         return common_cause(losses) if len(losses) == len(self._cameras) > 1 else None
 
     def trouble(self, min_cameras: int) -> str | None:
-        """Return why there are too few cameras, None when there are enough."""
+        """Return the reason for too few cameras, None when there are enough."""
         if self.armed >= min_cameras:
             return None
         if (cause := self.common_cause) is not None:

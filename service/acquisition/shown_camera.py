@@ -14,7 +14,7 @@ BLINK_S = 0.5
 
 
 class ShownCamera:
-    """At most one camera at a time is open for this, and closed when its time is over, whatever goes wrong.
+    """Opens one camera at a time to blink its lamp, and always closes it when its time is over.
 
     For one caller at a time.
     """

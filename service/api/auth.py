@@ -1,4 +1,4 @@
-"""Who asks, and whether that is allowed: by bearer keys with scopes, or by sessions of browsers that showed one.
+"""Authentication and authorisation: bearer tokens with scopes, or sessions of browsers that showed one.
 
 While there is no key, only this machine may write, and other hosts may read if `[api] without_keys` says so.
 """
@@ -34,7 +34,7 @@ THIS_MACHINE, ANYBODY = "this machine", "anybody"
 """Who asks without a key: from this machine, and from elsewhere where that is allowed."""
 INVALID_TOKEN = {"WWW-Authenticate": 'Bearer error="invalid_token"'}
 FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip", "via")
-"""Headers by which a proxy on this machine says that it asks for somebody else."""
+"""Headers by which a proxy on this machine says that it passes on a client's request."""
 
 bearer = HTTPBearer(
     auto_error=False,
@@ -47,9 +47,9 @@ Credentials = Annotated[HTTPAuthorizationCredentials | None, Depends(bearer)]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Asker:
-    """Who asks, and what that allows."""
+    """Requester of a request, with its scopes."""
 
-    who: str | None  # for the audit; None: nobody that is known
+    who: str | None  # for the audit; None: unknown
     scopes: Collection[Scope]
     refusal: Callable[[Scope], Problem]  # of a scope that is lacking
     key: Key | None = None
@@ -76,7 +76,7 @@ def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable
 
 
 async def asker_of(request: Request, context: Context, credentials: Credentials) -> Asker:
-    """Return who asks: by bearer token, else by the cookie of a session, else by where the request comes from.
+    """Authenticate a request: by bearer token, else by the cookie of a session, else by its source address.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def has_right_key(request: Request, context: ApiContext) -> bool:
 
 
 def checked_key(request: Request, context: ApiContext, token: str) -> Key:
-    """Return the key of a token that somebody shows.
+    """Authenticate a bearer token.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def _wrong_key(guesses: KeyGuesses, host: str, now_s: float) -> Problem:
 
 
 def who(request: Request) -> str:
-    """Return who asks, for the audit; on a route that requires a scope."""
+    """Return the name of the requester, for the audit; on a route that requires a scope."""
     return str(request.state.who)
 
 
@@ -204,7 +204,7 @@ def _lacks(key: Key, scope: Scope) -> Problem:
 
 
 def _is_from_this_machine(request: Request) -> bool:
-    """Return whether both the peer and the host name it asked for are loopback, and no proxy asks.
+    """True when both the peer and the host name it asked for are loopback, and the request came through no proxy.
 
     A proxy on this machine is a peer on loopback, too, but passes on the name that its clients asked for, or says for
     whom it asks.

@@ -134,22 +134,22 @@ class Connection(H11Protocol):
 
     @property
     def is_being_answered(self) -> bool:
-        """Return whether the request is complete and its answer is not: a long poll may be so for long."""
+        """True when the request is complete and its answer is not: a long poll may be so for long."""
         return self.cycle is not None and not (self.cycle.more_body or self.cycle.response_complete)
 
     @property
     def is_sending_in_vain(self) -> bool:
-        """Return whether the request is answered although its body still comes."""
+        """True when the request is answered although its body still comes."""
         return self.conn.our_state is h11.DONE and self.conn.their_state is h11.SEND_BODY
 
     @property
     def n_unread(self) -> int:
-        """Return how many bytes of the answer wait for the client, beyond those in the kernel's buffers."""
+        """Return the bytes of the answer that wait for the client, beyond those in the kernel's buffers."""
         n_unsent = 0 if self.cycle is None else self.cycle.scope["state"].get(UNSENT, 0)
         return int(self.transport.get_write_buffer_size() + n_unsent)
 
     def is_overdue(self, now_s: float) -> bool:
-        """Return whether the client has not sent its request, or not read its answer, in time; to be asked often."""
+        """True when the client has not sent its request, or not read its answer, in time; to be asked often."""
         if self.n_unread == 0:
             self._read_all_s = now_s
         is_idle = self.timeout_keep_alive_task is not None  # uvicorn ends it

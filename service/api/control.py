@@ -65,15 +65,15 @@ class Control(Protocol):
         ...
 
     def configuration_state(self) -> ConfigurationState:
-        """Return what became of the file that they are from."""
+        """Return the state of the configuration file since the daemon has read it."""
         ...
 
     def diagnostic_inputs(self) -> Inputs:
-        """Return what an archive for support is made from, without what the daemon adds; reads files: on a thread."""
+        """Return the inputs of an archive for support, without what the daemon adds; reads files: on a thread."""
         ...
 
     def facts(self) -> Facts:
-        """Return what health is assessed from."""
+        """Return the facts that health is assessed from."""
         ...
 
     def acquisition_status(self) -> AcquisitionStatus: ...

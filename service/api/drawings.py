@@ -1,4 +1,4 @@
-"""Drawings of lots and of times as SVG, made on a connection to the store, in whichever process."""
+"""Drawings of lots and of times as SVG, made on a connection to the store, in any process."""
 
 import sqlite3
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Entity tags: a client that has the newest version is told so, and one that changes an older one is refused.
+"""Entity tags: 304 for a client that has the newest version, 412 for a change of an older one.
 
 Both are RFC 9110, section 13. A change is compared with what is there on the thread that writes, so of two clients that
 saw the same version one comes too late.
@@ -34,7 +34,7 @@ def etag(*facts: object) -> str:
 
 
 def has_version(tags: str | None, tag: str) -> bool:
-    """Return whether an `If-None-Match` or `If-Match` header names this version."""
+    """True when an `If-None-Match` or `If-Match` header names this version."""
     given = [each.strip().removeprefix("W/") for each in (tags or "").split(",")]
     return tag in given or "*" in given
 

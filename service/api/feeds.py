@@ -117,7 +117,7 @@ async def page_now(context: ApiContext, feed: Feed, after: int, limit: int) -> F
 
 
 def cursor_problem(page: FeedPage, after: int, kind: str) -> Problem | None:
-    """Return why the feed cannot go on after `after`: it does not reach that far, or no longer has what follows."""
+    """Return the problem of a cursor that lies beyond the feed's end or before its first item; None without one."""
     ends: dict[str, Any] = {"first_seq": page.first_seq, "last_seq": page.last_seq}
     if after > page.last_seq:
         detail = f"the newest {kind} is {page.last_seq}, not {after}"

@@ -1,4 +1,4 @@
-"""Refuse what a web page of a stranger can have a browser ask for: by the name of the host, the origin, the media type.
+"""Reject requests that foreign web pages make through a browser: by host name, origin and media type.
 
 A browser in the plant shows pages of anybody, and reaches this service with its user's address. Without these checks a
 page could write (a form needs no permission), and, when its own name leads to this service (DNS rebinding), also read.
@@ -48,7 +48,7 @@ class ForeignPages:
         return None
 
     def _is_ours(self, host: str, server: tuple[str, int | None] | None) -> bool:
-        """Return whether `host` is a name of this service, or the address to which the request came."""
+        """True when `host` is a name of this service, or the address to which the request came."""
         if is_loopback(host) or host == self._bound or host in self._allowed:
             return True
         # behind 0.0.0.0 there are several addresses, none of which can be rebound as a name can
@@ -56,7 +56,7 @@ class ForeignPages:
         return address is not None and server is not None and address == address_of(server[0])
 
     def _is_our_page(self, origin: str, netloc: str | None) -> bool:
-        """Return whether a page is from the very host and port that it asks, or from a host that is configured."""
+        """True when a page is from the very host and port that it asks, or from a host that is configured."""
         _, _, page = origin.lower().partition("://")
         return page != "" and (page == (netloc or "").lower() or host_of(page) in self._allowed)
 

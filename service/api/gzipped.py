@@ -17,7 +17,7 @@ JSON = re.compile(r"application/(problem\+)?json\b")
 
 
 def accepts_gzip(headers: Headers) -> bool:
-    """Return whether a client takes gzip."""
+    """True when a client accepts gzip."""
     for part in headers.get("accept-encoding", "").lower().split(","):
         coding, _, weight = part.partition(";")
         if coding.strip() in ("gzip", "*"):
@@ -26,7 +26,7 @@ def accepts_gzip(headers: Headers) -> bool:
 
 
 async def takes_gzip(request: Request) -> bool:
-    """Return whether the answer to a request may be gzip."""
+    """True when the client of a request accepts gzip."""
     return accepts_gzip(request.headers)
 
 

@@ -1,4 +1,4 @@
-"""A POST with an `Idempotency-Key` is carried out once; whoever repeats it gets the first answer again.
+"""A POST with an `Idempotency-Key` is carried out once; repeated, it gets the first answer again.
 
 The rules are those of the IETF draft "The Idempotency-Key HTTP Header Field". A key belongs to who asks: `require`
 begins the attempt when it knows that, so a client that may no longer write gets no old answer. An answer is durable
@@ -162,7 +162,7 @@ async def repeat_answer(request: Request, error: Exception) -> Response:
 
 
 async def _digest(request: Request) -> str:
-    """Return what tells one request from another."""
+    """Return the SHA-256 of method, path, query and body."""
     line = f"{request.method} {request.scope['path']}?{request.url.query}\n"
     return hashlib.sha256(line.encode() + await request.body()).hexdigest()
 

@@ -53,10 +53,12 @@ class StoredKey:
     def __post_init__(self) -> None:
         for time in (self.created_at, self.expires_at, self.revoked_at):
             if time is not None and rfc3339(datetime.fromisoformat(time)) != time:
-                raise ValueError(f"{time!r} is no time of this program")
+                raise ValueError(
+                    f"{time!r} is not a time as the daemon writes it, such as 2027-01-01T00:00:00.000Z"
+                )
 
     def refusal(self, now: str) -> str | None:
-        """Return why the key is not accepted at a time, None if it is."""
+        """Return the reason why the key is not accepted at a time, None if it is."""
         if self.revoked_at is not None:
             return f"key {self.name!r} was revoked at {self.revoked_at}"
         if self.expires_at is not None and now >= self.expires_at:
@@ -146,7 +148,7 @@ def revoke_key(folder: Path, name: str, by: str) -> None:
 
 
 def sha256_of(token: str) -> str:
-    """Return what is kept of a token."""
+    """Return the SHA-256 of a token, the only form in which it is stored."""
     return hashlib.sha256(token.encode()).hexdigest()
 
 

@@ -22,7 +22,7 @@ class WrongKeys:
 
 
 class KeyGuesses:
-    """What the addresses of clients have tried; times are those of a monotonic clock."""
+    """Wrong keys by address of the client; times are those of a monotonic clock."""
 
     def __init__(self) -> None:
         self._wrong: OrderedDict[str, WrongKeys] = OrderedDict()

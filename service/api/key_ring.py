@@ -29,7 +29,7 @@ class KeyRing:
         self.trouble: str | None = None
         """Why no key of the file is accepted, None if they are."""
         self.is_noted = True
-        """Whether the audit has what `stonefall keys` did; set by whoever notes it."""
+        """Whether the audit has the changes by `stonefall keys`; set by the caller that notes them."""
 
     @property
     def is_empty(self) -> bool:
@@ -37,7 +37,7 @@ class KeyRing:
         return not self._configured and not self.stored and self.trouble is None
 
     def use(self, configured: Sequence[ApiKey]) -> None:
-        """Take other keys of the configuration in the place of those before."""
+        """Replace the keys of the configuration."""
         self._configured = tuple(configured)
 
     def refresh(self) -> None:
@@ -65,7 +65,7 @@ class KeyRing:
         self.is_noted = not self.stored
 
     def find(self, token: str) -> ApiKey | StoredKey | None:
-        """Return the key of a token; compared in constant time, so that timing does not tell how near a guess was."""
+        """Return the key of a token; compared in constant time, so that timing gives no hint to a guess."""
         digest = sha256_of(token)
         known: list[ApiKey | StoredKey] = [*self._configured, *self.stored]
         matching = [key for key in known if hmac.compare_digest(digest, key.sha256)]
@@ -107,5 +107,5 @@ def _command_of(user: str) -> str:
 
 
 def _version_of(status: os.stat_result) -> Version:
-    """Return what tells two versions of the file apart; the change time also shows another owner or mode."""
+    """Identify a version of the file by times, size and inode; the change time also shows another owner or mode."""
     return (status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino)

@@ -48,7 +48,7 @@ class FilesFailedError(ServiceError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportRequest:
-    """What is asked for, and what only the daemon knows of the rig."""
+    """Request for a report, with the facts that only the daemon knows of the rig."""
 
     figures: Request
     report_format: ReportFormat
@@ -102,7 +102,7 @@ def _report_data(
     *,
     has_pictures: bool,
 ) -> ReportData | None:
-    """Return what the report of a lot says, None if there is none."""
+    """Return the contents of the report of a lot, None if there is no such lot."""
     figures = lot_figures(connection, lot, wanted.figures)
     if figures is None:
         return None

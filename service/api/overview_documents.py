@@ -59,7 +59,9 @@ class OverviewFigures(BaseModel):
     flakiness_percent: Estimate = Field(description="FI, EN 933-3")
     shape_percent: Estimate = Field(description="SI, EN 933-4")
     measured: int = Field(description="Stones with a body and its measures")
-    n_effective: float = Field(description="So many stones of equal mass would tell as much")
+    n_effective: float = Field(
+        description="Effective sample size: number of equal-mass stones with the same sampling error"
+    )
     version: str = Field(description="Changes whenever the curve, its intervals or its verdicts do")
 
 
@@ -107,9 +109,9 @@ class OverviewAlarm(BaseModel):
 class OverviewAlarms(BaseModel):
     """The alarms that are announced: neither shelved, nor suppressed, nor ended."""
 
-    unacknowledged: int = Field(description="Nobody has taken note of these")
-    acknowledged: int = Field(description="Somebody has")
-    returned: int = Field(description="Gone, and nobody has taken note")
+    unacknowledged: int = Field(description="Not acknowledged, their cause still there")
+    acknowledged: int = Field(description="Acknowledged, their cause still there")
+    returned: int = Field(description="Their cause is gone, and they were not acknowledged")
     urgent: int = Field(description="How many of all of these are urgent")
     items: list[OverviewAlarm] = Field(description="The most urgent first, 20 at most")
 
@@ -125,7 +127,7 @@ class OverviewCamera(BaseModel):
     edge_width_px: float | None = Field(description="Width of outlines from 10 to 90 %, px")
     lost: int = Field(description="Frames reported lost since the daemon started")
     temperature_c: float | None = Field(
-        description="Temperature of the camera, °C; null when it does not tell"
+        description="Temperature of the camera, °C; null when it reports none"
     )
     last_frame_age_s: float | None = Field(description="Seconds since the last frame; null before it")
     warnings: list[str] = Field(description="What works but needs attention, with the remedy")
@@ -176,7 +178,7 @@ class OverviewDocument(BaseModel):
     disk_days: float | None = Field(description="Days until the disk is full; null while that is unknown")
     verification: OverviewVerification = Field(description="What the last balls said of the calibration")
     calibration_id: str = Field(description="Calibration that stones are measured with now")
-    alarms: OverviewAlarms = Field(description="What needs somebody now")
+    alarms: OverviewAlarms = Field(description="Alarms that need an operator now")
     cameras: list[OverviewCamera] = Field(description="By place in the rig")
     newest: list[OverviewStone] = Field(description="The newest stones, the newest first, 12 at most")
     last_seq: int = Field(description="`seq` of the newest result; 0 before the first")

@@ -47,7 +47,7 @@ class TodaysCounts:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rows:
-    """What the store says at one moment."""
+    """Rows of the store at one moment."""
 
     counts: OutcomeCounts = field(default_factory=OutcomeCounts)
     today: TodaysCounts | None = None
@@ -144,7 +144,7 @@ def _decisions(figures: LotFigures) -> Iterator[OverviewDecision]:
 
 
 def _version(figures: LotFigures, lot: str | None) -> str:
-    """Return what changes with the drawing of the curve: not with the seconds that a decision still takes."""
+    """Hash all that the drawing of the curve depends on: not the seconds that a decision still takes."""
     steps = [
         (
             step.sieve_mm,

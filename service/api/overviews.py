@@ -1,4 +1,4 @@
-"""The overview: made once for all who look at it, only while somebody does, and at most every `LEAST_S`.
+"""The overview: made once for all who look at it, while there are any, and at most every `LEAST_S`.
 
 The main figures are made in the process `stonefall-read`, beside it: an overview never waits for them but at first.
 """
@@ -50,7 +50,7 @@ FIGURES_S = 5.0
 FIGURES_SHARE = 0.1
 """Most of the time that their making may take: those of 100 000 stones are asked for less often."""
 OLD_S = 60.0
-"""Figures older than this, of when somebody looked last, are not shown if new ones come within `PATIENCE_S`."""
+"""Figures older than this, as after a time without viewers, are not shown if new ones come within `PATIENCE_S`."""
 PATIENCE_S = 2.0
 MAX_ALARMS = 20
 

@@ -28,7 +28,7 @@ TURN = "turn"
 
 
 class Turn(Enum):
-    """What becomes of a request that waits."""
+    """Fate of a request that waits."""
 
     COME = "it is answered now"
     REFUSED = "too many wait"
@@ -47,7 +47,7 @@ class Pace:
         self._last_s = float("-inf")  # when the turn given last is due
 
     def take(self) -> float:
-        """Take the next turn, and return in how many seconds it is due; negative: at once."""
+        """Take the next turn, and return the seconds until it is due; negative: at once."""
         now_s = asyncio.get_running_loop().time()
         self._last_s = max(self._last_s, now_s - BURST / RATE_HZ) + 1 / RATE_HZ
         return self._last_s - now_s
@@ -86,7 +86,7 @@ class Turns:
         return waiting
 
     def leave(self, client: str, waiting: Waiting, *, is_known: bool) -> None:
-        """Take a request out that waits no longer, whatever the reason."""
+        """Take a request out that waits no longer, for any reason."""
         queues = self._known if is_known else self._strangers
         own = queues.get(client, {})
         if waiting in own:
@@ -171,7 +171,7 @@ class PacedRequests:
 
 
 def give_up_turn(state: MutableMapping[str, Any]) -> None:
-    """Have a request, whose state this is, wait no longer: its client has closed the connection."""
+    """End the waiting of the request with this state: its client has closed the connection."""
     waiting = state.setdefault(TURN, Turn.GONE)
     if isinstance(waiting, asyncio.Future) and not waiting.done():
         waiting.set_result(Turn.GONE)

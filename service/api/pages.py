@@ -1,4 +1,4 @@
-"""Pages of results as finished JSON, made on a connection to the store, in whichever process or thread."""
+"""Pages of results as finished JSON, made on a connection to the store, in any process or thread."""
 
 import gzip
 import json
@@ -95,7 +95,7 @@ def particles_page(
 
 
 def is_gzipped(content: bytes) -> bool:
-    """Return whether JSON is compressed already, by the first bytes of gzip."""
+    """True when JSON is compressed already, by the first bytes of gzip."""
     return content.startswith(b"\x1f\x8b")
 
 

@@ -170,7 +170,7 @@ def problem_response(request: Request, problem: Problem) -> JSONResponse:
 
 
 def install_handlers(app: FastAPI) -> None:
-    """Have every exception that can leave a route answered as a problem."""
+    """Install handlers that answer every exception of a route as a problem."""
     app.add_exception_handler(HTTPException, _handle_http)
     app.add_exception_handler(RequestValidationError, _handle_validation)
     app.add_exception_handler(ConflictError, _handle_transition)
@@ -292,7 +292,7 @@ def store_unavailable() -> Problem:
 
 
 def failure_of(request: Request) -> str:
-    """Return how the log begins to tell that a request failed."""
+    """Return the beginning of the log's line about a failed request."""
     return f"request {request_id_of(request)}: {request.method} {request.scope['path']} failed"
 
 

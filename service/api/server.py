@@ -69,7 +69,7 @@ def server_config(app: FastAPI, settings: ApiSettings) -> uvicorn.Config:
         server_header=False,
         proxy_headers=bool(
             settings.trusted_proxies
-        ),  # uvicorn's default is to believe whoever is on loopback
+        ),  # uvicorn's default is to believe every peer on loopback
         forwarded_allow_ips=list(settings.trusted_proxies),
         http=Connection,
         ws="none",

@@ -30,20 +30,20 @@ def session_cookie(request: Request) -> str | None:
 def set_session_cookie(
     request: Request, response: Response, cookie: str, session: Session, now_s: float
 ) -> None:
-    """Have the browser send a session from now on, to this host alone, and show it to no script."""
+    """Set the cookie of a session, for this host alone and hidden from scripts."""
     _set(request, response, cookie, max(0, session.expires_s - int(now_s)))
 
 
 def clear_session_cookie(request: Request, response: Response) -> None:
-    """Have the browser forget the session."""
+    """Clear the cookie of the session."""
     _set(request, response, "", 0)
 
 
 def require_own_page(request: Request, settings: ApiSettings) -> None:
-    """Raise the problem 403 for what a page of another origin has a browser ask for with our cookie.
+    """Reject cross-origin writes that carry the session cookie (CSRF) with the problem 403.
 
-    What is read is told to nobody, as no other origin is allowed to see an answer; that a browser follows a link is no
-    harm. A write needs the `Origin` that browsers send with each: with a cookie, no program asks.
+    Reads do no harm: no other origin is allowed to see an answer, and a browser may follow a link. A write needs the
+    `Origin` that browsers send with each: programs use no cookie.
     """
     origin = request.headers.get("origin")
     if request.method not in READING and not (origin and is_own_origin(request, origin, settings)):
@@ -54,7 +54,7 @@ def require_own_page(request: Request, settings: ApiSettings) -> None:
 
 
 def is_own_origin(request: Request, origin: str, settings: ApiSettings) -> bool:
-    """Return whether a page is of the very scheme, host and port that it asks, or of a proxy's name for us.
+    """True for an origin with the very scheme, host and port of the request, or with a proxy's name for us.
 
     A proxy that does not pass on the `Host` must have its name in `allowed_hosts`, and the port of its scheme.
     """
@@ -83,5 +83,5 @@ def _name(request: Request) -> str:
 
 
 def _is_over_tls(request: Request) -> bool:
-    """Return whether the browser speaks TLS, with the proxy in front of us; a lie harms whoever tells it."""
+    """True when the browser speaks TLS, with the proxy in front of us; a lie harms its teller alone."""
     return request.headers.get("x-forwarded-proto", request.url.scheme).partition(",")[0].strip() == "https"

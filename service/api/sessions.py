@@ -45,7 +45,7 @@ Key = ApiKey | StoredKey
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Session:
-    """What the cookie says; times are seconds since 1970."""
+    """Contents of the cookie; times are seconds since 1970."""
 
     key: str  # its name
     id: str
@@ -58,7 +58,7 @@ class Session:
         return min(self.renewed_s + UNUSED_S, self.begun_s + LONGEST_S)
 
     def is_valid(self, now_s: float) -> bool:
-        """Return whether it has begun and has not ended, by a clock that may have been set."""
+        """True between its beginning and its end, by a clock that may have been set."""
         return self.renewed_s - AHEAD_S <= now_s < self.expires_s
 
 
@@ -171,7 +171,7 @@ def _encoded(content: bytes) -> str:
 
 
 def _decoded(text: str) -> bytes:
-    """Return what a text encodes; raise `ValueError` for another text than `_encoded` makes of it."""
+    """Decode base64url; raise `ValueError` for a text that `_encoded` would write otherwise."""
     try:
         content = base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
     except (binascii.Error, UnicodeEncodeError) as err:

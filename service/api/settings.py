@@ -17,7 +17,7 @@ class Scope(StrEnum):
     READ = "read"
     """Read everything."""
     OPERATE = "operate"
-    """Arm and disarm, record, collect and solve calibrations, verify, open and close lots, take note of alarms,
+    """Arm and disarm, record, collect and solve calibrations, verify, open and close lots, acknowledge alarms,
     measure stones again."""
     CONFIGURE = "configure"
     """Accept and activate calibrations, define products, read the configuration."""
@@ -53,7 +53,7 @@ class ApiSettings:
     keys: tuple[ApiKey, ...] = ()  # more of them are made by `stonefall keys`
     without_keys: WithoutKeys = WithoutKeys.NOTHING  # only this machine may write, whatever stands here
     trusted_proxies: tuple[str, ...] = ()  # addresses and networks whose X-Forwarded-For says who asks
-    loopback_reads_without_key: bool = False  # whoever sits at this machine may look, although there are keys
+    loopback_reads_without_key: bool = False  # requests from this machine may read, although there are keys
     max_body_bytes: int = 1_000_000
 
     def __post_init__(self) -> None:
@@ -82,7 +82,7 @@ class ApiSettings:
 
     @property
     def may_read_without_keys(self) -> bool:
-        """Return whether every host that reaches the service may read while there is no key.
+        """True when every host that reaches the service may read while there is no key.
 
         On loopback that is only this machine, and those whom a proxy on it lets through.
         """

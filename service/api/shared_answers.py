@@ -16,7 +16,7 @@ class SharedAnswers:
     async def get(
         self, question: Hashable, make: Callable[[], Coroutine[Any, Any, T]], *, keep_s: float
     ) -> T:
-        """Return what `make` returns; whoever asks the same until `keep_s` after that gets it as well."""
+        """Return the result of `make`; the same question until `keep_s` after that shares it."""
         answer = self._answers.get(question)
         if answer is None:
             answer = self._answers[question] = asyncio.create_task(self._made(question, make, keep_s))

@@ -132,6 +132,6 @@ async def _patient_page(context: ApiContext, feed: Feed, after: int) -> FeedPage
 
 
 def _history(instance_id: str, page: FeedPage) -> bytes:
-    """Return the first event of a stream: which history it is, and how far it goes."""
+    """Return the first event of a stream: the id of the history, and its first and last number."""
     data = {"instance_id": instance_id, "first_seq": page.first_seq, "last_seq": page.last_seq}
     return server_sent("history", data)

@@ -1,4 +1,4 @@
-"""Trends, the diary's changes and comparisons, made on a connection to the store, in whichever process."""
+"""Trends, the diary's changes and comparisons, made on a connection to the store, in any process."""
 
 import sqlite3
 
@@ -13,7 +13,7 @@ from service.reports.trend import TrendFigure, trend_svg
 
 
 def trend_json(connection: sqlite3.Connection, now: str, hours: float, measured: MeasuredRange) -> str:
-    """Return how rate, size and shape went over the last hours."""
+    """Return the trend of rate, size and shape over the last hours."""
     return trend(connection, now, hours, measured).model_dump_json()
 
 
@@ -32,11 +32,11 @@ def trend_drawing(
 def changes_json(
     connection: sqlite3.Connection, now: str, hours: float, measured: MeasuredRange, language: Language
 ) -> str:
-    """Return what has changed since each entry of the diary, with a sentence for each figure."""
+    """Return the changes since each entry of the diary, with a sentence for each figure."""
     return with_sentences(changes(connection, now, hours, measured), language, now).model_dump_json()
 
 
 def comparison_json(connection: sqlite3.Connection, a: Side, b: Side, request: Request) -> str | None:
-    """Return how two lots differ, or one as two versions measured it; None if there is no such lot."""
+    """Return the comparison of two lots, or of one as two versions measured it; None if there is no such lot."""
     found = compare_lots(connection, a, b, request)
     return None if found is None else found.model_dump_json()

@@ -19,12 +19,12 @@ def address_of(host: str) -> IPv4Address | IPv6Address | None:
 
 
 def is_host(text: str) -> bool:
-    """Return whether a text is an address, or can be the name of a host."""
+    """True for an IP address or a valid host name."""
     return address_of(text) is not None or HOST_NAME.fullmatch(text) is not None
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether a host is this machine, whatever its name server says."""
+    """True when a host name or address is loopback, without asking a name server."""
     address = address_of(host)
     return host == "localhost" if address is None else address.is_loopback
 

@@ -1,4 +1,4 @@
-"""What ids of lots, products and consumers may be: they stand in URLs, names of files and lines of shells."""
+"""Ids of lots, products and consumers: safe in URLs, names of files and lines of shells."""
 
 ID = r"^[A-Za-z0-9_.-]{1,64}$"
 """Pattern of an id that is asked for."""

@@ -1,4 +1,4 @@
-"""The languages in which people are told of reports and alarms."""
+"""The languages of reports and alarms."""
 
 from enum import StrEnum
 

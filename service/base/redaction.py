@@ -33,7 +33,7 @@ SECRET_TEXTS = tuple(
 
 
 def redacted(document: Any) -> Any:
-    """Return a document with the value of every member whose name tells of a secret replaced, and URLs as `shown`."""
+    """Return a document with the values of all members named like a secret replaced, and URLs as `shown`."""
     match document:
         case dict():
             return {

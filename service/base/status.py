@@ -89,7 +89,7 @@ class ConflictError(ServiceError):
 
 
 class NotDisarmedError(ServiceError):
-    """The acquisition uses the cameras, so nobody else may."""
+    """The acquisition holds the cameras exclusively."""
 
     def __init__(self, current: AcquisitionState) -> None:
         super().__init__(f"acquisition is {current}: it must be disarmed first")
@@ -182,7 +182,7 @@ class HealthCheck(Report):
 
     status: CheckStatus = Field(description="Result of the check")
     observed_value: float | int | str | bool | None = Field(
-        default=None, description="What was observed; null when there is nothing to tell"
+        default=None, description="What was observed; null when there is no value"
     )
     observed_unit: str | None = Field(default=None, description="Unit of `observed_value`; null: none")
     detail: str | None = Field(
@@ -274,7 +274,7 @@ class CameraStatus(Report):
         default=None, description="Size of its socket's buffer, as the kernel granted it"
     )
     temperature_c: float | None = Field(
-        default=None, description="Temperature of the camera, °C; null when it does not tell"
+        default=None, description="Temperature of the camera, °C; null when it reports none"
     )
     ptp_offset_ns: int | None = Field(
         default=None, description="Offset from the PTP master's clock; null without PTP"

@@ -75,7 +75,7 @@ class BundleAssembler:
         return self._missed.has_gap
 
     def feed(self, event: DeviceEvent) -> list[FrameBundle]:
-        """Take one event; return the bundles that it finished, in the order of their triggers."""
+        """Process one event; return the bundles that it finished, in the order of their triggers."""
         match event:
             case Trigger():
                 self._announce(event)
@@ -139,7 +139,7 @@ class BundleAssembler:
         return bundles + self._unseen(self._missed.take_unseen())
 
     def has_orphan_of(self, trigger: Trigger) -> bool:
-        """Return whether a stone is an orphan already: the announcement is late and will be ignored."""
+        """True when the stone is an orphan already: the announcement is late and will be ignored."""
         return trigger.kind is not BundleKind.BACKGROUND and self._missed.has_orphan_of(trigger)
 
     def _announce(self, trigger: Trigger) -> None:

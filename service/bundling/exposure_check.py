@@ -39,7 +39,7 @@ class ExposureCheck:
     """The latest frames refused in a row that agree with one another."""
 
     def belongs(self, exposure: Exposure) -> bool:
-        """Return whether the frame can have been exposed for its trigger; if so it is the next reference.
+        """True when the frame can have been exposed for its trigger; if so it is the next reference.
 
         Without a reference to compare with, only a frame of the very first trigger is accepted: any other may
         be a predecessor's that came late. It becomes the reference as soon as a second frame agrees with it.
@@ -56,7 +56,7 @@ class ExposureCheck:
         return False
 
     def _was_set_anew(self, exposures: Sequence[Exposure]) -> bool:
-        """Return whether refused frames that agree with one another show that the camera's clock was set.
+        """True when refused frames that agree with one another show that the camera's clock was set.
 
         Otherwise they are late by a trigger or more. No frame is late by as much as `LATEST_FRAME_NS`; of late ones the
         counter is behind; and many stones at irregular times cannot all be followed by their predecessors' frames.
@@ -71,7 +71,7 @@ class ExposureCheck:
         return _is_counted(reference, last) or (len(exposures) >= MANY_FRAMES and is_irregular)
 
     def proves(self, exposure: Exposure) -> bool:
-        """Return whether clock and counter, compared with the reference, both match the frame to its trigger."""
+        """True when clock and counter, compared with the reference, both match the frame to its trigger."""
         reference = self._reference
         return (
             reference is not None
@@ -80,14 +80,14 @@ class ExposureCheck:
         )
 
     def contradicts(self, device_ns: int, trigger_ns: int) -> bool:
-        """Return whether the reference proves that a frame was not exposed for a trigger at that time."""
+        """True when the reference proves that a frame was not exposed for a trigger at that time."""
         if device_ns == 0 or self._reference is None:
             return False
         exposure = self._reference._replace(device_ns=device_ns, trigger_ns=trigger_ns)
         return 0 < self._misfit_ns(self._reference, exposure) <= LATEST_FRAME_NS
 
     def _misfit_ns(self, earlier: Exposure, later: Exposure) -> float:
-        """Return how far the two durations differ beyond what jitter and drift explain; 0 when they agree."""
+        """Difference of the two durations beyond the limits of jitter and drift; 0 when they agree."""
         by_camera_ns, by_triggers_ns = (
             later.device_ns - earlier.device_ns,
             later.trigger_ns - earlier.trigger_ns,
@@ -97,7 +97,7 @@ class ExposureCheck:
 
 
 def _is_counted(earlier: Exposure, later: Exposure) -> bool:
-    """Return whether the camera counted as many exposures from one to the other as there were triggers."""
+    """True when the camera counted as many exposures from one to the other as there were triggers."""
     n_triggers = later.ordinal - earlier.ordinal
     if n_triggers == 0:
         return earlier.frame_id == later.frame_id

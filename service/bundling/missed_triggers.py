@@ -43,7 +43,7 @@ class MissedTriggers:
         self._last_announced = 0
 
     def has_orphan_of(self, trigger: Trigger) -> bool:
-        """Return whether an announcement comes so late that its frames have become an orphan's."""
+        """True when an announcement comes so late that its frames have become an orphan's."""
         return any(
             abs(orphan_ns - trigger.received_ns) <= self._tolerance_ns for orphan_ns in self._orphans_ns
         )

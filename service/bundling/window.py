@@ -48,7 +48,7 @@ class Window:
     unreadable: str | None = None  # what is wrong with the file that should have been replayed
 
     def is_complete(self, n_cameras: int) -> bool:
-        """Return whether every camera has either delivered or is known not to deliver."""
+        """True when every camera has delivered or is known not to deliver."""
         return len(self.frames.keys() | self.lost.keys()) == n_cameras
 
     def bundle(self, cameras: Iterable[CameraId], reason: MissingReason) -> FrameBundle:

@@ -84,7 +84,7 @@ class Calibrations:
 
     @property
     def collector(self) -> DropCollector | None:
-        """Return what observes the next drop, for the open calibration or verification; None without one."""
+        """Return the collector of the next drop, for the open calibration or verification; None without one."""
         current = self.open_calibration
         if current is None:
             return self.verifications.collector
@@ -97,12 +97,12 @@ class Calibrations:
 
     @property
     def verified(self) -> Verified:
-        """Return what the last balls said of the calibration in use."""
+        """Return the result of the last verification of the calibration in use."""
         return self.verifications.verified(self.rig_file.calibration_id, datetime.now(UTC))
 
     @property
     def wants_balls(self) -> bool:
-        """Return whether what falls now is a ball."""
+        """True while the bodies that fall are balls of an open calibration or verification."""
         return self.collector is not None and self.collector.kind is BundleKind.BALL
 
     @property
@@ -116,7 +116,7 @@ class Calibrations:
         return next(item for item in self.activations if item.id == self.active.id)
 
     def facts(self) -> CalibrationFacts:
-        """Return what health has to know of calibrations."""
+        """Return the facts about calibrations that health is assessed from."""
         at_work = None
         if self.wants_balls and (current := self.open_calibration) is not None:
             at_work = f"calibration {current.id} is {current.state}: what falls is a ball"

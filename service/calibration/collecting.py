@@ -29,7 +29,7 @@ class DropCollector:
     """Called with a drop, its result record, and the file of its outlines, None when nothing was observed."""
 
     async def observe(self, pool: JobPool, job: MeasureJob) -> KeepDrop:
-        """Have a worker find the outlines of a drop. Return what to await when its result is durable.
+        """Find the outlines of a drop in a worker. Return the awaitable that keeps them once its result is durable.
 
         A drop that cannot be observed is passed on with the problem.
         """

@@ -59,7 +59,7 @@ class Solution:
 
     @property
     def refusal(self) -> str | None:
-        """Return why the solution must not be used, None when it may be."""
+        """Return the reason not to use the solution, None when it may be used."""
         return refusal_of(self.problems)
 
 

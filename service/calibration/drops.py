@@ -41,7 +41,7 @@ class SolvedRig:
 
     @property
     def refusal(self) -> str | None:
-        """Return why the rig must not be used, None when it may be."""
+        """Return the reason not to use the rig, None when it may be used."""
         return refusal_of(self.problems)
 
 

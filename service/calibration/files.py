@@ -58,7 +58,7 @@ class CalibrationRecord:
     origin: Origin
     """`configured`: from the rig file of the configuration; `session`: from drops."""
     state: CalibrationState
-    """How far it is: `collecting`, `solving` and `solved` are open, the others ended."""
+    """Its state: `collecting`, `solving` and `solved` are open, the others ended."""
     method: str
     """`bundle`, `paper` or `stones` as requested; of a configured rig file also `nominal` or `imported`."""
     ball_diameters_mm: tuple[float, ...] = ()

@@ -1,4 +1,4 @@
-"""Which calibration the daemon uses when it starts.
+"""The choice of the calibration that the daemon uses when it starts.
 
 The rig file of the configuration is the first version. If its content has changed since the latest start, it is
 activated; otherwise the calibration that was activated last is used.

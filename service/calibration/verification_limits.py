@@ -69,7 +69,7 @@ class VerificationParameters:
                 raise ValueError(f"{name} must be in {low:g}..{high:g}, not {getattr(self, name):g}")
 
     def problems(self, balls: tuple[VerifiedBall, ...], diameter_mm: float) -> list[str]:
-        """Return which figures exceed their limits, each with the remedy."""
+        """Return the figures that exceed their limits, each with the remedy."""
         summary = summarize(balls, diameter_mm)
         found = []
         if abs(summary.error_mm) > self.error_mm:
@@ -92,7 +92,7 @@ class VerificationParameters:
 
 
 def size_refusal(measured_mm: float, diameter_mm: float) -> str | None:
-    """Return why something of this size is not the ball of the stated diameter, None when it may be."""
+    """Return the reason why a body of this size is not the ball of the stated diameter, None when it may be."""
     if 1 / MAX_SIZE_RATIO <= measured_mm / diameter_mm <= MAX_SIZE_RATIO:
         return None
     return (

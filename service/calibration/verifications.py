@@ -59,7 +59,7 @@ class Verification:
     id: str
     """Name of the verification in the addresses."""
     state: VerificationState
-    """How far it is, or its verdict."""
+    """Its state, or its verdict."""
     diameter_mm: float
     """Diameter of the ball as requested, mm."""
     count: int
@@ -162,7 +162,7 @@ class Verifications:
 
     @property
     def collector(self) -> DropCollector | None:
-        """Return what observes the next ball, None while no verification is open."""
+        """Return the collector of the next ball, None while no verification is open."""
         current = self.current
         if current is None:
             return None
@@ -189,7 +189,7 @@ class Verifications:
         )
 
     def verified(self, calibration_id: str, now: datetime) -> Verified:
-        """Return what the last balls said of a calibration."""
+        """Return the result of the last verification of a calibration, or that one is overdue."""
         last = self.last(calibration_id)
         if last is None:
             return Verified.NEVER
@@ -200,7 +200,7 @@ class Verifications:
         return Verified.OVERDUE if is_overdue else Verified.PASSED
 
     def trouble(self, calibration_id: str, now: datetime) -> str | None:
-        """Return why results of this calibration are not to be trusted: it failed, or its verification is overdue."""
+        """Return the reason to distrust results of this calibration: it failed, or its verification is overdue."""
         last = self.last(calibration_id)
         match self.verified(calibration_id, now):
             case Verified.FAILED if last is not None:

@@ -1,4 +1,4 @@
-"""`stonefall alarms`: what needs somebody now, and what to do, as a client of a running daemon."""
+"""`stonefall alarms`: the alarms that need attention, and their remedies, as a client of a running daemon."""
 
 import json
 from typing import Annotated
@@ -12,7 +12,8 @@ from service.health.alarms.printed import as_text
 
 def command(
     acknowledge: Annotated[
-        int | None, typer.Option(metavar="ID", help="Take note of this alarm, and print the others.")
+        int | None,
+        typer.Option(metavar="ID", help="Acknowledge the alarm of this number, and print the others."),
     ] = None,
     is_history: Annotated[
         bool,

@@ -20,7 +20,7 @@ def command(
 ) -> None:
     """Print all settings of a configuration file, defaults included, and what is wrong; exit 0 if nothing is.
 
-    A warning is of what is allowed but rarely meant, and nothing wrong.
+    A warning names a setting that is allowed but rarely intended; it is no fault.
     """
     try:
         settings = load_settings(file)

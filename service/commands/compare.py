@@ -56,7 +56,7 @@ def command(
     key: Key = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print all differences as JSON.")] = False,
 ) -> None:
-    """Compare stones as measured twice: volume, sieve size, axes, shape, quality, and the lot's curve.
+    """Compare two measurements of the same stones: volume, sieve size, axes, shape, quality, and the lot's curve.
 
     What each version of the algorithm changed in results: service/remeasuring/README.md.
     """

@@ -79,7 +79,7 @@ def fetch(
     method: str | None = None,
     timeout_s: float = TIMEOUT_S,
 ) -> bytes:
-    """Return the content of an answer, whatever it is; otherwise as `ask`."""
+    """Return the content of an answer, undecoded; otherwise as `ask`."""
     if urlsplit(url).scheme not in ("http", "https"):
         raise DaemonError(f"--url {url}: must begin with http:// or https://")
     headers: dict[str, str] = {}

@@ -33,7 +33,7 @@ def command(
     """Write an archive with configuration, versions, health, alarms, host, calibrations and log, without secrets."""
     out = out or Path(f"stonefall-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.tar.gz")
     if out.exists():
-        raise UsageError(f"{out}: is there already")
+        raise UsageError(f"{out}: exists already")
     settings = load_settings(config)
     address = url or settings.api.local_url
     if not offline and is_running(address):

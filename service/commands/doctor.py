@@ -38,7 +38,7 @@ def command(
 ) -> None:
     """Check host, configuration, cameras and gate, and name each fault with its remedy; exit 0 if there is none.
 
-    While the daemon runs it has the devices, and is asked for its health instead; nothing is taken from it.
+    A running daemon holds the devices: then its health is read instead, and nothing is taken from it.
     """
     settings = load_settings(config)
     host = host_at(root)

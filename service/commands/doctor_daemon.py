@@ -11,7 +11,7 @@ TIMEOUT_S = 5.0
 
 
 def is_running(url: str) -> bool:
-    """Return whether a daemon answers there; needs no key."""
+    """True when a daemon answers there; needs no key."""
     try:
         return ask(url, "/health/live", None, timeout_s=TIMEOUT_S).get("status") == "pass"
     except DaemonError as err:

@@ -46,7 +46,7 @@ LIGHT_WITHOUT = (
 
 
 def check_cameras(rig: AravisRigSettings, host: Host) -> Iterator[Finding]:
-    """Yield how many cameras answer, and each that does not, or is another one, or behind another port."""
+    """Check that each camera answers, is the one that is meant, and is reached through the right port."""
     sought = rig.sought_cameras()
     with ThreadPoolExecutor(len(sought)) as threads:  # one named by its serial takes half a second to find
         answers = list(threads.map(_find, sought))
@@ -113,7 +113,7 @@ def _wrong_ports(
 
 
 def _uncalibrated(rig: AravisRigSettings, found: Mapping[CameraId, DiscoveredCamera]) -> Iterator[Finding]:
-    """Yield which cameras are not those of the calibration, which `check-config` sees for given serials only."""
+    """Yield the cameras that are not those of the calibration; `check-config` sees given serials only."""
     try:
         calibrated = {camera.id: camera.serial for camera in read_rig(rig.calibration).cameras}
     except RecordingError:  # is named among the problems of the configuration

@@ -19,7 +19,7 @@ def document(findings: Iterable[Finding]) -> list[Mapping[str, Any]]:
 
 
 def has_fault(findings: Iterable[Finding]) -> bool:
-    """Return whether there is a fault among them."""
+    """True when there is a fault among them."""
     return any(finding.verdict is Verdict.FAULT for finding in findings)
 
 

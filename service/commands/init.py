@@ -62,7 +62,7 @@ def command(
     store: Annotated[Path, typer.Option(help="Folder for results.")] = Path("/var/lib/stonefall"),
     spool: Annotated[Path, typer.Option(help="Folder on tmpfs for bundles.")] = Path("/run/stonefall"),
     product: Annotated[
-        str | None, typer.Option(help="Name of the product, for the steps that are told.")
+        str | None, typer.Option(help="Name of the product, for the steps that are printed.")
     ] = None,
     density_g_cm3: Annotated[
         float | None, typer.Option(min=0.1, max=20, help="Particle density (EN 1097-6).")
@@ -76,7 +76,7 @@ def command(
     each place. A rig file that is there is kept; without one the design is written, until the rig is calibrated.
     """
     if file.exists() and not force:
-        raise UsageError(f"{file}: is there already; --force replaces it")
+        raise UsageError(f"{file}: exists already; --force replaces it")
     is_asked = sys.stdin.isatty()
     interfaces = tuple(interface or (_asked_interfaces() if is_asked else ()))
     rig_file = file.resolve().parent / "rig.json"
@@ -155,7 +155,7 @@ def _answering(interfaces: tuple[str, ...]) -> list[DiscoveredCamera]:
 def _placed(
     places: Sequence[str], found: Sequence[DiscoveredCamera], *, is_asked: bool
 ) -> dict[str, CameraPlace]:
-    """Return which camera is in which place: as its user name says, else in the order of their addresses."""
+    """Assign cameras to places: by their user names, else in the order of their addresses."""
     by_name = {device.user_name: device for device in found if device.user_name in places}
     others = iter(device for device in found if device.user_name not in places)
     suggested = {place: by_name.get(place) or next(others, None) for place in places}
@@ -218,7 +218,7 @@ def _asked_density() -> float | None:
 
 
 def _missing(file: Path, answers: Answers) -> list[str]:
-    """Return what is missing or wrong, as `check-config` would say it."""
+    """Return the missing and the wrong settings, in the words of `check-config`."""
     absent = [place for place in answers.places if place not in answers.cameras]
     missing = [f"rig.cameras: no camera for {', '.join(absent)}"] if absent else []
     if answers.gate is None:

@@ -14,7 +14,7 @@ MISSING = "MISSING"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answers:
-    """What is known of a site; what is None is missing."""
+    """Facts about a site; None: missing."""
 
     interfaces: tuple[str, ...]
     cameras: Mapping[str, CameraPlace]  # by place; those that are missing are absent

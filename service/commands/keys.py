@@ -20,11 +20,13 @@ from service.base.errors import UsageError
 from service.configuration.settings import Settings, load_settings
 
 command = typer.Typer(
-    no_args_is_help=True, help="Keys of the REST interface; a running daemon knows at once."
+    no_args_is_help=True, help="Keys of the REST interface; changes apply to a running daemon at once."
 )
 
 Config = Annotated[Path, typer.Option("--config", help="TOML file of the daemon.")]
-Name = Annotated[str, typer.Argument(metavar="NAME", help="Name of the key: who or what asks with it.")]
+Name = Annotated[
+    str, typer.Argument(metavar="NAME", help="Name of the key: the person or program that uses it.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
@@ -33,10 +35,11 @@ def create(
     name: Name,
     config: Config,
     scopes: Annotated[
-        list[Scope] | None, typer.Option("--scope", help="What it opens, one or more; read when absent.")
+        list[Scope] | None, typer.Option("--scope", help="Scope of the key; may be repeated; default: read.")
     ] = None,
     expires: Annotated[
-        str | None, typer.Option(help="Until when: a date or time (UTC when it does not say), or days: 90d.")
+        str | None,
+        typer.Option(help="Expiry: a date, a time (UTC without an offset), or a number of days: 90d."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -74,7 +77,7 @@ def list_(config: Config, as_json: AsJson = False) -> None:
 
 @command.command()
 def revoke(name: Name, config: Config) -> None:
-    """Revoke a key: whoever asks with it is refused from now on."""
+    """Revoke a key: requests with it are refused from now on."""
     settings = load_settings(config)
     _require_not_configured(settings, name)
     revoke_key(settings.store.dir, name, _user())
@@ -82,7 +85,7 @@ def revoke(name: Name, config: Config) -> None:
 
 
 def _described(settings: Settings) -> list[dict[str, Any]]:
-    """Return what is to be told of all keys, without their hashes."""
+    """Describe all keys, without their hashes."""
     now = utc_now()
     never = dict.fromkeys(("created_at", "created_by", "expires_at", "revoked_at", "revoked_by"))
     configured = [
@@ -127,7 +130,7 @@ def _day(time: str | None) -> str | None:
 
 
 def _user() -> str:
-    """Return who runs the command, for the audit."""
+    """Return the user who runs the command, for the audit."""
     try:
         return os.environ.get("SUDO_USER") or getpass.getuser()
     except (KeyError, OSError):  # a user without a name

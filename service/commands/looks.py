@@ -22,7 +22,7 @@ InterreflectionOption = Annotated[
 
 
 def looks_of(surfaces: str, gloss: float, interreflection: bool) -> Looks:
-    """Return how bodies look.
+    """Parse the options about the look of bodies.
 
     Raises
     ------

@@ -28,7 +28,7 @@ Specification = Annotated[str | None, typer.Option(help="Specification, in the p
 def product(
     name: Annotated[str, typer.Argument(metavar="PRODUCT", help="Name of the product.")],
     density_kg_m3: Annotated[float, typer.Option(help="Density of the particles, EN 1097-6, kg/m3.")],
-    title: Annotated[str | None, typer.Option(help="For people; the name when absent.")] = None,
+    title: Annotated[str | None, typer.Option(help="Title for people; default: the name.")] = None,
     lower_mm: Annotated[float | None, typer.Option(help="d of a product d/D, mm.")] = None,
     upper_mm: Annotated[float | None, typer.Option(help="D of it, mm.")] = None,
     sieve_set: SieveSet = None,

@@ -205,7 +205,7 @@ def command(
 
 
 def _gradation(records: list[dict[str, Any]], rig: RigCalibration) -> dict[str, Any]:
-    """Return the gradation, and before it the curve of what was measured, whatever sizes the rig is for."""
+    """Return the gradation, and before it the curve of all measured stones, of any size."""
     lot, sieves = lot_of_records(records), read_standards().sieve_sets[SIEVE_SET]
     counted = evaluate(lot, sieves.apertures_mm, measured=ALL_SIZES)
     return {

@@ -42,7 +42,7 @@ async def measuring_pool(
 
 @contextmanager
 def one_error() -> Iterator[None]:
-    """Raise the first error of the service in a group by itself, for the one line that tells people."""
+    """Raise the first error of the service in a group by itself, for the one line that is printed."""
     try:
         yield
     except BaseExceptionGroup as group:

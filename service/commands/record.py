@@ -137,7 +137,7 @@ async def _follow(
 
 
 def _hint_at_daemon(state_dir: Path) -> str:
-    """Return what to do when the daemon of this configuration is running, which controls the rig; else empty."""
+    """Return the remedy when the daemon of this configuration is running, which controls the rig; else empty."""
     if not is_locked(state_dir):
         return ""
     return "; the daemon of this configuration is running and controls the rig: record with POST /api/v1/recordings"

@@ -32,7 +32,7 @@ SETTINGS = {
 
 
 def command(
-    script: Annotated[str, typer.Option(help="What happens; --list tells all.")] = "day",
+    script: Annotated[str, typer.Option(help="Script to play; --list shows all.")] = "day",
     is_list: Annotated[bool, typer.Option("--list", help="List the scripts, and end.")] = False,
     speed: Annotated[float, typer.Option(min=0.1, max=10, help="Factor on four stones a second.")] = 1.0,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the daemon; 0: a free one.")] = 8080,
@@ -51,8 +51,8 @@ def command(
 ) -> None:
     """Rehearse a day: a simulated rig, a daemon of its own, sample lots, and what goes wrong at a plant.
 
-    Let your client follow the address that is printed. At the end stands what it should have seen, and each alarm with
-    its cause and what to do.
+    Let your client follow the address that is printed. The command ends with what the client should have seen, and with
+    each alarm, its cause and what to do.
     """
     if is_list:
         _print_scripts()

@@ -39,7 +39,7 @@ def command(
     until: Annotated[str | None, typer.Option(help="Captured before, RFC 3339.")] = None,
     executor: Executor = None,
     key: Key = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what came of each stone as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome of each stone as JSON.")] = False,
 ) -> None:
     """Measure stones again from their archived frames, with today's algorithm; the results become revisions.
 
@@ -81,7 +81,7 @@ def _stones(
 
 
 def _remeasure(url: str, key: str | None, name: str, summary: Summary) -> None:
-    """Have one stone measured again, and note what came of it; raise `DaemonError` if the daemon does not answer."""
+    """Request the remeasuring of one stone and note its outcome; raise `DaemonError` if the daemon does not answer."""
     with noted_refusal(name, summary):
         done = ask(url, f"/particles/{name}/revisions", key, {}, timeout_s=TRIES * DEADLINE_S)
         (summary.revised if done["is_new"] else summary.unchanged).append(name)

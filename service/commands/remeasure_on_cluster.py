@@ -1,4 +1,4 @@
-"""Have a cluster measure a daemon's stones again: the daemon orders each, and takes what was measured.
+"""Measure a daemon's stones again on a cluster: the daemon orders each, and takes the record.
 
 Four bundles for each process of the cluster are under way at most, whatever the size of the archive. Killed at any
 moment, this leaves nothing but orders, which the daemon forgets.
@@ -53,7 +53,7 @@ class OrderingDaemon:
         return ordered["order"], await asyncio.to_thread(read_order, folder)
 
     async def deliver(self, name: str, order: str) -> bool:
-        """Have it make a revision of what was measured; return False if the stone was revised meanwhile."""
+        """Request a revision from the record; return False if the stone was revised meanwhile."""
         done = await self._post(f"/particles/{name}/revisions", {"order": order})
         return bool(done["is_new"])
 
@@ -79,7 +79,7 @@ async def remeasure_on_cluster(
     summary: Summary,
     on_progress: Callable[[], object],
 ) -> None:
-    """Have the cluster measure these stones, and note what came of each.
+    """Measure these stones on the cluster, and note the outcome of each.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What came of the stones that `stonefall remeasure` asked for."""
+"""Outcomes of the stones of `stonefall remeasure`."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,7 +10,7 @@ from service.remeasuring.hindrance import Hindrance
 
 @dataclass(slots=True)
 class Summary:
-    """The ids of the stones, by what came of them."""
+    """The ids of the stones, by outcome."""
 
     revised: list[str] = field(default_factory=list)
     unchanged: list[str] = field(default_factory=list)

@@ -15,7 +15,7 @@ def command(
     any_audit: Annotated[
         bool,
         typer.Option(
-            "--any-audit", help="Also with an audit that is none of this store, as of another rig's."
+            "--any-audit", help="Accept a backup with the audit of another store, such as another rig's."
         ),
     ] = False,
 ) -> None:

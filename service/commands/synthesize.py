@@ -199,13 +199,13 @@ def command(
 
 
 def _fallen_mm(late_ms: float) -> float:
-    """Return how far a body falls, mm, from the expected exposure to `late_ms` after it."""
+    """Return the path of a falling body, mm, from the expected exposure to `late_ms` after it."""
     late_s = late_ms / 1e3
     return Fall().speed_at_center_mm_s * late_s + GRAVITY_MM_S2 / 2 * late_s**2
 
 
 def _body_source(name: str, size_mm: float | None) -> BodySource:
-    """Return what an item of `--bodies` stands for."""
+    """Parse an item of `--bodies`: stones of one form or all, or a single body."""
     if name in STONE_FORMS or name == STONES:
         forms = list(STONE_FORMS) if name == STONES else [name]
 

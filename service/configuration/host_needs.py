@@ -16,7 +16,7 @@ JUMBO_BYTES = 8192
 
 
 def host_needs(settings: Settings) -> HostNeeds:
-    """Return what these settings need; a rig file that is missing is named by `problems`, not here."""
+    """Return the needs of these settings; a rig file that is missing is named by `problems`, not here."""
     return HostNeeds(
         network=_network(settings.rig),
         gate=_gate(settings.rig),

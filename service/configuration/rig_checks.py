@@ -21,7 +21,7 @@ BUSY_SLACK_MS = 30.0
 
 
 def rig_problems(settings: RigSettings, bundling: BundlingParameters) -> Iterator[str]:
-    """Yield what cannot work in the rig, each with its field and the reason."""
+    """Yield the faults of the rig's settings, each with its field and the reason."""
     match settings:
         case ReplayRigSettings():
             yield from _replay_problems(settings)
@@ -30,7 +30,7 @@ def rig_problems(settings: RigSettings, bundling: BundlingParameters) -> Iterato
 
 
 def _replay_problems(settings: ReplayRigSettings) -> Iterator[str]:
-    """Yield why the recording cannot be replayed."""
+    """Yield the reasons why the recording cannot be replayed."""
     try:
         recording = open_recording(settings.recording)
     except RecordingError as err:
@@ -43,7 +43,7 @@ def _replay_problems(settings: ReplayRigSettings) -> Iterator[str]:
 
 
 def _live_problems(settings: AravisRigSettings, bundling: BundlingParameters) -> Iterator[str]:
-    """Yield what cannot work with the cameras and the gate."""
+    """Yield the faults in the settings of cameras and gate."""
     yield from _placeholders(settings)
     yield from timing_problems(settings, bundling)
     try:
@@ -70,7 +70,7 @@ def _live_problems(settings: AravisRigSettings, bundling: BundlingParameters) ->
 
 
 def rig_warnings(settings: RigSettings) -> Iterator[str]:
-    """Yield what is allowed in the rig but rarely meant, each with its field."""
+    """Yield the settings of the rig that are allowed but rarely meant, each with its field."""
     if isinstance(settings, AravisRigSettings) and not (settings.has_flash or settings.is_simulated):
         yield (
             "rig.strobe_line: no output of the cameras fires the light panels, so they must be on all the time: that is"
@@ -80,7 +80,7 @@ def rig_warnings(settings: RigSettings) -> Iterator[str]:
 
 
 def _placeholders(settings: AravisRigSettings) -> Iterator[str]:
-    """Yield what was never filled in since deploy/stonefall.toml was copied."""
+    """Yield the placeholders that are left of a copy of deploy/stonefall.toml."""
     copied = [camera.id for camera in settings.cameras if PLACEHOLDER.fullmatch(camera.serial or "")]
     if copied:
         yield (
@@ -92,7 +92,7 @@ def _placeholders(settings: AravisRigSettings) -> Iterator[str]:
 
 
 def timing_problems(settings: AravisRigSettings, bundling: BundlingParameters) -> Iterator[str]:
-    """Yield which times of the bundling do not fit the fall."""
+    """Yield the times of the bundling that do not fit the fall."""
     if settings.bundling_for(bundling).dead_time_ms + BUSY_SLACK_MS < settings.busy_ms:
         yield (
             f"bundling.dead_time_ms: cameras ignore an edge for {settings.busy_ms:.1f} ms after another; a gate"
@@ -107,7 +107,7 @@ def timing_problems(settings: AravisRigSettings, bundling: BundlingParameters) -
 
 
 def blur_problems(settings: AravisRigSettings, calibration: RigCalibration) -> Iterator[str]:
-    """Yield whether a stone moves too far during the exposure."""
+    """Yield a problem when a stone moves too far during the exposure."""
     lit_us = (settings.flash_us or settings.exposure_us) + settings.trigger_skew_us
     speed = settings.fall.speed_at_center_mm_s
     pixel_mm = min(
@@ -126,7 +126,7 @@ def blur_problems(settings: AravisRigSettings, calibration: RigCalibration) -> I
 def transfer_problems(
     settings: AravisRigSettings, calibration: RigCalibration, bundling: BundlingParameters
 ) -> Iterator[str]:
-    """Yield whether the frames of a trigger exceed the uplink they share, or arrive too late."""
+    """Yield a problem when the frames of a trigger exceed the uplink they share, or arrive too late."""
     rate_bytes_s = min(settings.link_bytes_s, settings.throughput_limit_bytes_s or settings.link_bytes_s)
     packet_bytes = 1500 if settings.packet_size_bytes == "negotiate" else settings.packet_size_bytes
     per_packet_s = packet_bytes / rate_bytes_s + settings.packet_delay_ns / 1e9

@@ -64,7 +64,7 @@ class ReplayRigSettings:
         return ReplayBackend(recording=self.recording, pace=self.pace, speed=self.speed, loop=self.loop)
 
     def describe(self) -> dict[str, Any]:
-        """Return what is measured, for the record of the session in the store."""
+        """Describe the source of the stones, for the record of the session in the store."""
         return {"recording": str(self.recording)}
 
     def source(self, devices: Devices, rig: RigCalibration) -> RecordingSource:
@@ -215,7 +215,7 @@ class AravisRigSettings:
 
     @property
     def has_flash(self) -> bool:
-        """Return whether the light flashes: an output of a camera fires it, or `flash_us` says so."""
+        """True when the light flashes: an output of a camera fires it, or `flash_us` says so."""
         return self.flash_us is not None or any(
             strobe_line(camera.features) for camera in self.sought_cameras()
         )
@@ -237,7 +237,7 @@ class AravisRigSettings:
         )
 
     def describe(self) -> dict[str, Any]:
-        """Return what is measured, for the record of the session in the store."""
+        """Describe the source of the stones, for the record of the session in the store."""
         return {"cameras": [camera.id for camera in self.cameras], "gate": type(self.gate.device).__name__}
 
     def source(self, devices: Devices, rig: RigCalibration) -> RecordingSource:

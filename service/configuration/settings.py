@@ -161,7 +161,7 @@ def load_settings(path: Path) -> Settings:
 
 
 def problems(settings: Settings) -> Iterator[str]:
-    """Yield which settings contradict each other or the files they refer to, each with its field."""
+    """Yield contradictions between settings, or with the files they refer to, each with its field."""
     n_disagreeing = settings.carving.max_disagreeing_views
     if settings.views.min < n_disagreeing + 2:
         yield (
@@ -197,7 +197,7 @@ def _stored_keys(folder: Path) -> tuple[tuple[StoredKey, ...], str | None]:
 
 
 def shortcomings(settings: Settings) -> Iterator[str]:
-    """Yield what is missing that the daemon can start without, each with its field."""
+    """Yield the missing things that the daemon can start without, each with its field."""
     plan = plan_segmenter(settings.segmentation)
     if plan.trouble is not None:
         yield f"segmentation.model: {plan.trouble}"
@@ -210,7 +210,7 @@ def shortcomings(settings: Settings) -> Iterator[str]:
 
 
 def warnings(settings: Settings) -> Iterator[str]:
-    """Yield what is allowed but rarely meant, each with its field; no reason to refuse the file."""
+    """Yield the settings that are allowed but rarely meant, each with its field; no reason to refuse the file."""
     yield from rig_warnings(settings.rig)
 
 
@@ -222,7 +222,7 @@ def _name_of(loc: tuple[int | str, ...]) -> str:
 
 
 def _write_problem(folder: Path) -> str | None:
-    """Return why no file can be written to `folder`, which need not exist yet; None when one can."""
+    """Return the reason why no file can be written to `folder`, which need not exist yet; None when one can."""
     existing = folder
     while not existing.exists():
         existing = existing.parent

@@ -34,11 +34,11 @@ class Alarming:
             try:
                 self.look(health(), time.monotonic())
             except OSError as err:  # of a disk, which must not end the daemon
-                log.error("health cannot be looked at: %s", err)
+                log.error("health cannot be assessed: %s", err)
             await asyncio.sleep(TICK_S)
 
     def look(self, health: Health, now_s: float) -> None:
-        """Take the health as it is now; another word is an event once it has lasted."""
+        """Note the present health; another word is an event once it has lasted."""
         self.alarms.update(health.checks)
         if health.ne107 is not self._seen:
             self._seen, self._seen_since_s = health.ne107, now_s

@@ -26,7 +26,7 @@ class BackingUp:
         """Why the last backup failed, None if it did not."""
 
     def use(self, *, every_h: float, keep: int) -> None:
-        """Take another interval and number at once."""
+        """Apply another interval and number at once."""
         self._every_s = 3600 * every_h
         self._keep = keep
         self._is_changed.set()

@@ -212,7 +212,7 @@ async def build(configured: Configuration, store: Store) -> Daemon:
 
 
 def _store_trouble(store: Store) -> str | None:
-    """Return why nothing can be stored, in words, None if results can be."""
+    """Return the reason why nothing can be stored, None if results can be."""
     return None if store.trouble is None else f"store: {store.trouble}"
 
 

@@ -46,7 +46,7 @@ class LogLines(logging.Handler):
         while (line := self._lines.get()) is not None:
             n_lost, self._n_lost = self._n_lost, 0
             if n_lost:
-                line += f"\n{n_lost} lines of the log are lost: nobody read them"
+                line += f"\n{n_lost} lines of the log are lost: they were not read in time"
             left = memoryview(f"{line}\n".encode(errors="replace"))
             with suppress(OSError):  # it is closed
                 while left:

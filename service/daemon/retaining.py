@@ -67,7 +67,7 @@ class Retaining:
         self.facts = RetentionFacts(warn_days=limits.warn_days)
 
     def use(self, limits: RetentionLimits) -> None:
-        """Take other limits from the next look on."""
+        """Apply other limits from the next look on."""
         self._limits = limits
         self.facts = replace(self.facts, warn_days=limits.warn_days)
 

@@ -249,7 +249,7 @@ async def _processing(
 
 @asynccontextmanager
 async def _remeasuring(daemon: Daemon) -> AsyncIterator[None]:
-    """Measure stones again on request; whoever asked for one that is being measured at the end must ask again."""
+    """Measure stones again on request; a request that is being measured at the end must be repeated."""
     yield
     daemon.remeasuring.close()
 

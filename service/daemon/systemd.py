@@ -100,6 +100,6 @@ def configure_logging(environ: Mapping[str, str], level: int = logging.INFO) -> 
 
 
 def _is_journal(stream: str) -> bool:
-    """Return whether stderr is the stream `device:inode` that the journal reads (systemd.exec(5))."""
+    """True when stderr is the stream `device:inode` that the journal reads (systemd.exec(5))."""
     status = os.fstat(2)
     return stream == f"{status.st_dev}:{status.st_ino}"

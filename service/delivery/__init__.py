@@ -1,1 +1,1 @@
-"""What is brought to plants that do not pull: events by webhook, files of closed lots into a folder."""
+"""Delivery to plants that do not poll: events by webhook, files of closed lots into a folder."""

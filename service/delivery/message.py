@@ -1,4 +1,4 @@
-"""What a webhook says of an event: {type, timestamp, data}, and an id that is the same on every attempt."""
+"""Message of a webhook about an event: {type, timestamp, data}, and an id that is the same on every attempt."""
 
 import hashlib
 import json
@@ -33,7 +33,7 @@ def message_of(event: Mapping[str, Any], instance_id: str) -> Message:
 
 
 def trial_message(instance_id: str, at: str) -> Message:
-    """Return a message that tells of nothing."""
+    """Return a message without an event, to test an endpoint."""
     event = {"seq": None, "at": at, "type": TEST, "subject": "test"}
     return Message(id=f"test-{uuid.uuid4()}", type=TEST, event=None, body=_body(event, instance_id, {}))
 

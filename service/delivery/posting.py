@@ -1,4 +1,4 @@
-"""One HTTP request that posts a message, bounded in time and memory whatever the other side does.
+"""One HTTP request that posts a message, bounded in time and memory against any behaviour of the other side.
 
 Only a listed host is connected to, at an address that is allowed; no redirect is followed, no proxy asked, and of the
 answer nothing is read but its head.
@@ -40,7 +40,7 @@ async def post(
     headers: Mapping[str, str],
     tls: ssl.SSLContext | None,
 ) -> Answer:
-    """Post a message and return what came of it; raises nothing."""
+    """Post a message and return the outcome; raises nothing."""
     began_s = time.monotonic()
     try:
         async with asyncio.timeout(settings.timeout_s):

@@ -1,4 +1,4 @@
-"""How far an endpoint is with the events, and when it is tried again: pure, time comes in."""
+"""Progress of an endpoint through the events, and its next attempt: pure, time is an argument."""
 
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -15,13 +15,13 @@ GIVE_UP_S = 24 * 3600.0
 MIN_PAUSE_S, MAX_ASKED_PAUSE_S = 1.0, 3600.0
 """Pauses that an endpoint can ask for."""
 FAILING_S = 900.0
-"""Time after which somebody should know that an endpoint fails."""
+"""Time without success after which health reports that an endpoint fails."""
 ASKS_TO_WAIT = (HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What came of one request."""
+    """Outcome of one request."""
 
     status: int | None = None  # None: there was no answer
     problem: str | None = None  # None: the message was taken
@@ -31,7 +31,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """How far an endpoint is; times are RFC 3339."""
+    """Progress of an endpoint; times are RFC 3339."""
 
     after: int  # last event that it has taken
     attempts: int = 0  # failed ones of the next event
@@ -43,21 +43,21 @@ class Progress:
     disabled_at: str | None = None
 
     def pause_s(self, now: datetime) -> float:
-        """Return how long to wait before the next attempt; clocks that were set meanwhile delay it by a day at most."""
+        """Return the time until the next attempt; clocks that were set meanwhile delay it by a day at most."""
         if self.next_attempt_at is None:
             return 0.0
         remaining = datetime.fromisoformat(self.next_attempt_at) - now
         return min(max(remaining.total_seconds(), 0.0), GIVE_UP_S)
 
     def is_failing(self, now: datetime) -> bool:
-        """Return whether it has taken nothing for `FAILING_S`, by its pauses and not by a clock that may be set."""
+        """True when it has taken nothing for `FAILING_S`, by its pauses and not by a clock that may be set."""
         return self.waited_s - self.pause_s(now) >= FAILING_S
 
 
 def next_progress(
     progress: Progress, event: int, answer: Answer, now: datetime, chance: float = 0.0
 ) -> Progress:
-    """Return the progress after an attempt to tell of `event`; `chance` is random, 0 to 1."""
+    """Return the progress after an attempt to post `event`; `chance` is random, 0 to 1."""
     at = rfc3339(now)
     if answer.problem is None:
         return Progress(after=event, last_taken_at=at)
@@ -88,7 +88,7 @@ def enabled(progress: Progress) -> Progress:
 
 
 def replayed(progress: Progress, after: int) -> Progress:
-    """Return the progress of an endpoint that is told again of all events after a number."""
+    """Return the progress of an endpoint that gets all events after a number again."""
     return replace(
         progress,
         after=after,

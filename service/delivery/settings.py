@@ -1,4 +1,4 @@
-"""`[webhooks]` and `[file_drop]` of the configuration: who is told what, and where files of closed lots go."""
+"""`[webhooks]` and `[file_drop]` of the configuration: endpoints, their events, the folder for files of closed lots."""
 
 import errno
 import re
@@ -29,7 +29,7 @@ MAX_SECRET_BYTES = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WebhookEndpoint:
-    """Who is told of which events; requests are signed with each of the secrets."""
+    """An endpoint and its events; requests are signed with each of the secrets."""
 
     name: str
     url: str
@@ -82,7 +82,7 @@ class WebhookEndpoint:
         return keys
 
     def tls(self) -> ssl.SSLContext | None:
-        """Return what TLS trusts, None without TLS; reads files. Raises `ValueError`, which names the file."""
+        """Return the TLS context, None for http; reads files. Raises `ValueError`, which names the file."""
         if self.target.scheme != "https":
             return None
         try:
@@ -93,7 +93,7 @@ class WebhookEndpoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WebhooksSettings:
-    """Hosts that may be told of events, and the endpoints on them."""
+    """Hosts that events may be posted to, and the endpoints on them."""
 
     allowed_hosts: tuple[str, ...] = ()  # names and addresses, without a port
     allowed_networks: tuple[str, ...] = PRIVATE_NETWORKS  # which names may lead to
@@ -123,11 +123,11 @@ class WebhooksSettings:
                 )
 
     def allows_host(self, host: str) -> bool:
-        """Return whether a host of an URL is one of the plant's."""
+        """True when a host of a URL is among the plant's allowed hosts."""
         return _canonical(host) in map(_canonical, self.allowed_hosts)
 
     def allows_address(self, host: str, address: str) -> bool:
-        """Return whether the host may be connected to at this address, which its name led to."""
+        """True when connecting to the host at this address, to which its name was resolved, is allowed."""
         found = address_of(address)
         if address_of(host) is not None:
             return found == address_of(host) and self.allows_host(host)
@@ -164,7 +164,7 @@ class FileDropSettings:
             raise FileNotFoundError(errno.ENOENT, "nothing is mounted there")
 
     def problem(self) -> str | None:
-        """Return why no file can be written now, None when one can; blocks."""
+        """Return the reason why no file can be written now, None when one can; blocks."""
         try:
             self.require_present()
             with TemporaryFile(dir=self.dir):
@@ -174,7 +174,7 @@ class FileDropSettings:
 
 
 def delivery_shortcomings(webhooks: WebhooksSettings, file_drop: FileDropSettings | None) -> Iterator[str]:
-    """Yield what stands in the way of webhooks and file drop now, each with its field; reads files."""
+    """Yield the present obstacles to webhooks and file drop, each with its field; reads files."""
     for endpoint in webhooks.endpoints:
         for read in (endpoint.keys, endpoint.tls):
             try:

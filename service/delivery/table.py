@@ -1,4 +1,4 @@
-"""The tables of webhooks: how far each endpoint is, its newest deliveries, and the events that it is to be told of."""
+"""The tables of webhooks: progress of each endpoint, its newest deliveries, and its events that are due."""
 
 import json
 import sqlite3
@@ -32,14 +32,14 @@ class EventCursorError(ValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attempt:
-    """One attempt to tell an endpoint of something."""
+    """One attempt to post to an endpoint."""
 
     __pydantic_config__ = ANSWER
 
     at: Time
     """When it was begun, RFC 3339 UTC."""
     webhook_id: str
-    """The same on every attempt to tell of an event."""
+    """The same on every attempt to post an event."""
     type: str
     """Of the event, or `webhook.test`."""
     event: int | None
@@ -56,7 +56,7 @@ class Attempt:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Due:
-    """What an endpoint is to be told of next."""
+    """The next event of an endpoint."""
 
     event: Mapping[str, Any] | None  # None: nothing up to `last_seq`
     first_seq: int  # oldest event that is kept
@@ -64,7 +64,7 @@ class Due:
 
 
 def begin(connection: sqlite3.Connection, names: Iterable[str]) -> None:
-    """Have endpoints that are new told of what happens from now on."""
+    """Begin new endpoints at the events from now on."""
     with transaction(connection):
         (last,) = connection.execute("SELECT last_event FROM store").fetchone()
         first = json.dumps(asdict(Progress(after=last)))
@@ -74,7 +74,7 @@ def begin(connection: sqlite3.Connection, names: Iterable[str]) -> None:
 
 
 def progress_of(connection: sqlite3.Connection, name: str) -> Progress:
-    """Return how far an endpoint is, one that `begin` knows."""
+    """Return the progress of an endpoint, one that `begin` knows."""
     (document,) = connection.execute("SELECT progress FROM webhooks WHERE name = ?", (name,)).fetchone()
     return PROGRESS.validate_json(document)
 
@@ -95,7 +95,7 @@ def next_due(connection: sqlite3.Connection, after: int, types: Sequence[EventTy
 
 
 def n_due(connection: sqlite3.Connection, after: int, types: Sequence[EventType]) -> int:
-    """Return how many events of these types there are after a number."""
+    """Count the events of these types after a number."""
     (number,) = connection.execute(
         f"SELECT count(*) FROM events WHERE seq > ? AND type IN ({_marks(types)})",  # noqa: S608 - question marks
         (after, *types),
@@ -106,9 +106,9 @@ def n_due(connection: sqlite3.Connection, after: int, types: Sequence[EventType]
 def note(
     connection: sqlite3.Connection, name: str, delivery: Attempt, before: Progress, after: Progress
 ) -> Progress:
-    """Note an attempt and what follows from it; return how far the endpoint is.
+    """Note an attempt and what follows from it; return the endpoint's progress.
 
-    What somebody has asked for since `before` holds: then only the attempt is noted.
+    A request since `before`, as to enable it, takes precedence: then only the attempt is noted.
     """
     with transaction(connection):
         _add(connection, name, delivery)
@@ -120,7 +120,7 @@ def note(
 
 
 def note_trial(connection: sqlite3.Connection, name: str, delivery: Attempt, who: str) -> None:
-    """Note an attempt that tells of nothing, and who asked for it."""
+    """Note the test of an endpoint, and its requester."""
     with transaction(connection):
         _add(connection, name, delivery)
         audit.note(connection, who, "webhook tested", name, after=asdict(delivery))
@@ -135,14 +135,14 @@ def deliveries(connection: sqlite3.Connection, name: str, limit: int) -> list[At
 
 
 def enable(connection: sqlite3.Connection, name: str, who: str) -> Progress:
-    """Have an endpoint tried again at once, whether it was disabled or waits."""
+    """Try an endpoint again at once, whether it was disabled or waits."""
     with transaction(connection):
         before = progress_of(connection, name)
         return _change(connection, name, who, "webhook enabled", before, enabled(before))
 
 
 def replay(connection: sqlite3.Connection, name: str, after: int, who: str) -> Progress:
-    """Have an endpoint told of all events after a number, again; raise `EventCursorError` if they are not there."""
+    """Post all events after a number to an endpoint again; raise `EventCursorError` if they are not there."""
     with transaction(connection):
         first_seq, last_seq = event_ends(connection)
         if not first_seq - 1 <= after <= last_seq:

@@ -1,4 +1,4 @@
-"""Tell endpoints of events, in their order and each at least once: a task an endpoint, the events are the outbox."""
+"""Post events to endpoints, in their order and each at least once: a task an endpoint, the events are the outbox."""
 
 import asyncio
 import logging
@@ -32,7 +32,7 @@ class BeingTestedError(ServiceError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EndpointStatus:
-    """An endpoint, and how far it is."""
+    """An endpoint and its progress."""
 
     endpoint: WebhookEndpoint
     progress: Progress
@@ -58,7 +58,7 @@ async def _wait(event: asyncio.Event, timeout_s: float) -> None:
 
 
 async def open_webhooks(store: Store, settings: WebhooksSettings) -> "Webhooks":
-    """Return the endpoints, as an earlier run of the daemon has left them; new ones are told of what comes."""
+    """Return the endpoints, as an earlier run of the daemon has left them; new ones begin with the next event."""
     webhooks = Webhooks(store, settings)
     await webhooks.use(settings)
     return webhooks
@@ -84,7 +84,7 @@ class Webhooks:
         self._take(settings)
 
     async def use(self, settings: WebhooksSettings) -> None:
-        """Tell these endpoints from now on, and no others; a message under way may be sent once more."""
+        """Serve these endpoints from now on, and no others; a message under way may be sent once more."""
         if settings.endpoints:
             await self._store.write(table.begin, [endpoint.name for endpoint in settings.endpoints])
         self._take(settings)
@@ -105,7 +105,7 @@ class Webhooks:
         ]
 
     async def run(self) -> None:
-        """Tell all endpoints of what happens, until waiting in the store is ended."""
+        """Post events to all endpoints until waiting in the store is ended."""
         while not self._store.is_released:
             self._is_changed.clear()
             async with asyncio.TaskGroup() as tasks:
@@ -129,7 +129,7 @@ class Webhooks:
         return self._endpoints.get(name)
 
     async def status(self, name: str) -> EndpointStatus:
-        """Return how far an endpoint is."""
+        """Return the status of an endpoint."""
         return await self._status_of(self._endpoints[name])
 
     async def _status_of(self, endpoint: WebhookEndpoint) -> EndpointStatus:
@@ -138,7 +138,7 @@ class Webhooks:
         return EndpointStatus(endpoint=endpoint, progress=progress, n_due=n_due)
 
     async def statuses(self) -> list[EndpointStatus]:
-        """Return how far all endpoints are."""
+        """Return the status of all endpoints."""
         return [await self._status_of(endpoint) for endpoint in self._endpoints.values()]
 
     async def enable(self, name: str, who: str) -> None:
@@ -147,7 +147,7 @@ class Webhooks:
         self._wake(name)
 
     async def replay(self, name: str, after: int, who: str) -> None:
-        """Tell an endpoint of all events after a number, again; one that is disabled when it is enabled.
+        """Post all events after a number to an endpoint again; to a disabled one when it is enabled.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class Webhooks:
         self._wake(name)
 
     async def test(self, name: str, who: str) -> Attempt:
-        """Send a message that tells of nothing, once and whether the endpoint is disabled or not.
+        """Send a message without an event, once and whether the endpoint is disabled or not.
 
         Raises
         ------
@@ -192,7 +192,7 @@ class Webhooks:
                 await asyncio.sleep(STORE_RETRY_S)
 
     async def _step(self, endpoint: WebhookEndpoint, told: _Told) -> None:
-        """Tell an endpoint of the next event, or wait until there is a reason to look again."""
+        """Post the next event to an endpoint, or wait until there is a reason to look again."""
         told.wake.clear()
         before = await self._store.read(table.progress_of, endpoint.name)
         if told.looked_from != before.after:
@@ -219,7 +219,7 @@ class Webhooks:
         elif after.attempts == 1:
             log.warning("webhook %s: %s", endpoint.name, answer.problem)
         elif before.attempts > 0 and answer.problem is None:
-            log.info("webhook %s is told again, attempts=%d", endpoint.name, before.attempts + 1)
+            log.info("webhook %s takes messages again, attempts=%d", endpoint.name, before.attempts + 1)
         told.progress = await self._store.write(table.note, endpoint.name, delivery, before, after)
 
     async def _send(
@@ -255,7 +255,7 @@ def _trouble(progress: Progress, now: datetime) -> str | None:
 
 
 async def _tls_of(endpoint: WebhookEndpoint, told: _Told) -> ssl.SSLContext | None:
-    """Return what TLS trusts, read once."""
+    """Return the TLS context of an endpoint, read once."""
     if told.tls is None and endpoint.target.scheme == "https":
         told.tls = await asyncio.to_thread(endpoint.tls)
     return told.tls

@@ -138,7 +138,7 @@ def _trigger_line(facts: Facts) -> HealthCheck:
 
 def _loop(facts: Facts) -> HealthCheck:
     is_slow = facts.loop_ms > LOOP_MS
-    problem = f"held up for {facts.loop_ms:.0f} ms within the last minute: look at the load of the machine"
+    problem = f"blocked for {facts.loop_ms:.0f} ms within the last minute: look at the load of the machine"
     return HealthCheck(
         status=CheckStatus.of(warn=is_slow),
         observed_value=round(facts.loop_ms, 1),

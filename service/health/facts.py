@@ -1,4 +1,4 @@
-"""What health is assessed from."""
+"""The facts that health is assessed from."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -50,7 +50,7 @@ class OpticalParameters:
 
 
 class Severity(IntEnum):
-    """How far a figure has come to its limit."""
+    """Severity of a figure, by its share of the limit."""
 
     NOTHING = 0
     MAINTENANCE = 1
@@ -159,7 +159,7 @@ class OpticalWatch:
         return {name: camera.optics for name, camera in self._cameras.items()}
 
     def findings(self) -> tuple[OpticalFinding, ...]:
-        """Return what operators should look at, worst first."""
+        """Return the findings that need an operator, worst first."""
         found = self._light_findings()
         for limit in DETAILS:
             found += self._limit_findings(limit)

@@ -30,7 +30,7 @@ HYSTERESIS = 0.8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefinementTrend:
-    """What the latest stones say; None while they are too few, or none is to be refined."""
+    """Figures of the latest stones; None while they are too few, or none is to be refined."""
 
     supported_share: float | None = None  # of the surface: median of the stones that were looked at
     reference_share: float | None = None  # the same of the first stones of the run

@@ -8,6 +8,6 @@ from service.host.network import check_network
 
 
 def check_host(host: Host, needs: HostNeeds) -> list[Finding]:
-    """Return what was found on a host; reads files, and asks each network port for its receive ring."""
+    """Check a host; reads files, and asks each network port for its receive ring."""
     network = [] if needs.network is None else [*check_network(host, needs.network)]
     return [*network, *check_machine(host, needs)]

@@ -5,7 +5,7 @@ from enum import StrEnum
 
 
 class Verdict(StrEnum):
-    """What a finding means."""
+    """Meaning of a finding."""
 
     GOOD = "good"
     FAULT = "fault"
@@ -16,7 +16,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """What was looked at."""
+    """One thing that was checked."""
 
     subject: str
     verdict: Verdict

@@ -1,4 +1,4 @@
-"""What the checks read of a host: a tree of files, and the few things that only its kernel answers.
+"""The host as the checks read it: a tree of files, and the few facts that only its kernel has.
 
 Everything in /proc, /sys, /etc and /run is read below `root`, so that another tree can be looked at: a test's, or
 one that was copied from a rig. What only the kernel answers is then not known.
@@ -55,7 +55,7 @@ def ring_of(interface: str) -> Ring | None:
 
 
 def is_clock_synchronised() -> bool | None:
-    """Return what the kernel says of its clock, None if it cannot be asked; changes nothing (`modes` are 0)."""
+    """True when the kernel's clock is synchronised, None if it cannot be asked; changes nothing (`modes` are 0)."""
     with suppress(OSError, AttributeError):
         state = int(ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(TIMEX_BYTES)))
         return None if state < 0 else state != TIME_ERROR

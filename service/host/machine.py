@@ -28,7 +28,7 @@ JOURNAL = installed(
 
 
 def check_machine(host: Host, needs: HostNeeds) -> Iterator[Finding]:
-    """Yield what was found on the machine."""
+    """Check the machine itself: processor, gate, clock, journal, spool, descriptors, disk and memory."""
     yield _governor(host)
     yield from _gate(host, needs)
     yield _clock(host)

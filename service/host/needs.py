@@ -1,4 +1,4 @@
-"""What the daemon needs of its host, as its configuration says."""
+"""Needs of the daemon on its host, by its configuration."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ class CameraNetwork:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostNeeds:
-    """What is looked for on the host."""
+    """Needs that are checked on the host."""
 
     network: CameraNetwork | None  # None: a recording is replayed
     gate: Path | None  # device of the light gate; None: a recording is replayed

@@ -23,7 +23,7 @@ PORTS = installed(
 
 
 def check_network(host: Host, network: CameraNetwork) -> Iterator[Finding]:
-    """Yield what was found on the way from the cameras to this machine."""
+    """Check the network towards the cameras: the kernel's receive buffers, ports and links."""
     for name, at_least in (
         ("rmem_max", network.receive_buffer_bytes),
         ("rmem_default", network.receive_buffer_bytes),
@@ -58,7 +58,7 @@ def _sysctl(host: Host, name: str, wanted: int) -> Finding:
 
 
 def _port(host: Host, port: str, network: CameraNetwork) -> Iterator[Finding]:
-    """Yield what was found at one port of the cameras."""
+    """Check link, MTU, receive ring and interrupts of one port of the cameras."""
     folder = f"/sys/class/net/{port}"
     if host.text(f"{folder}/operstate") == "down":
         yield fault(
@@ -91,7 +91,7 @@ def _port(host: Host, port: str, network: CameraNetwork) -> Iterator[Finding]:
 
 
 def _interrupts(host: Host, port: str) -> Iterator[Finding]:
-    """Yield whether one core takes all interrupts of a port that has several queues."""
+    """Check that a port of several queues spreads its interrupts over the cores."""
     numbers = [path.name for path in host.glob(f"/sys/class/net/{port}/device/msi_irqs/*")]
     cores = {
         number: core for number in numbers if (core := host.text(f"/proc/irq/{number}/smp_affinity_list"))
@@ -109,7 +109,7 @@ def _interrupts(host: Host, port: str) -> Iterator[Finding]:
 
 
 def _speed(host: Host, ports: list[str], network: CameraNetwork) -> Iterator[Finding]:
-    """Yield whether the links together are as fast as the configuration says; virtual ones do not say it."""
+    """Check that the links together are as fast as the configuration says; virtual ones state no speed."""
     known = [host.number(f"/sys/class/net/{port}/speed") for port in ports]
     speeds = [speed for speed in known if speed is not None and speed > 0]
     if not speeds or len(speeds) < len(ports):

@@ -24,14 +24,14 @@ from service.lots.yardsticks import Request
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """What is compared: a lot, in the newest revisions of its stones or in those by one version."""
+    """A side of a comparison: a lot, in the newest revisions of its stones or in those by one version."""
 
     lot: str
     algorithm_version: str | None = None
 
     @property
     def choice(self) -> Choice:
-        """Which stones of the lot."""
+        """The choice of stones of the lot."""
         return Choice(algorithm_version=self.algorithm_version) if self.algorithm_version else ALL_STONES
 
 
@@ -47,7 +47,7 @@ class ComparedFigure(Report):
     low: float | None = Field(description="Lower end of the 95 % interval of the difference")
     high: float | None = Field(description="Upper end of it")
     is_significant: bool | None = Field(
-        description="More than chance, by Holm's method over all figures; null: not measured, or too few stones to tell"
+        description="More than chance, by Holm's method over all figures; null: not measured, or too few stones"
     )
 
 

@@ -1,4 +1,4 @@
-"""From the stones of a lot to its figures and its verdict; pure, in whichever process."""
+"""From the stones of a lot to its figures and its verdict; pure, so that any process may compute them."""
 
 import sqlite3
 from collections import Counter
@@ -81,7 +81,7 @@ def window_figures(
 
 
 def stones_per_s(connection: sqlite3.Connection) -> float:
-    """Return how many stones were measured a second within the last minute."""
+    """Return the rate of measured stones, 1/s, within the last minute."""
     since = rfc3339(datetime.now(UTC) - timedelta(seconds=RATE_OVER_S))
     (n_stones,) = connection.execute(
         # by the time of the result: a replay's stones fell long ago
@@ -158,7 +158,7 @@ def passing_of(
 
 
 def countdown(judgement: LotJudgement, rate_per_s: float) -> str:
-    """Return what is decided and what is not, as "16 mm: conforms; 4 mm (about 220 stones, 55 s more): undecided"."""
+    """Summarise decided and undecided figures: "16 mm: conforms; 4 mm (about 220 stones, 55 s more): undecided"."""
     named = [(f"{sieve_mm:g} mm", each) for sieve_mm, each in sorted(judgement.passing.items(), reverse=True)]
     named += [(name, each) for name, each in (("FI", judgement.flakiness), ("SI", judgement.shape)) if each]
     by_verdict: dict[Verdict, list[str]] = {}

@@ -179,7 +179,9 @@ class LotFigures(Report):
         " waiting (they can be measured again); `no_evidence`, the pixels showed nothing that could be used"
     )
     mass_kg: float | None = Field(description="Of the measured stones; null without a density")
-    n_effective: float = Field(description="So many stones of equal mass would tell as much")
+    n_effective: float = Field(
+        description="Effective sample size: number of equal-mass stones with the same sampling error"
+    )
     sieve_set: str = Field(description="Sieves that were used")
     specification: str | None = Field(description="Specification that was judged by; null: none")
     specification_source: str | None = Field(description="Standard or site that the specification is from")

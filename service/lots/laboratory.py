@@ -30,7 +30,7 @@ class SievingError(ServiceError):
 
 
 class NothingToStudyError(ServiceError):
-    """No lot of the product has both stones and a sieving that tell a size."""
+    """No lot of the product has both stones and a sieving from which a size follows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,7 +23,7 @@ MOST_RUNS = 1000
 
 
 class LotState(StrEnum):
-    """How far a lot is."""
+    """State of a lot."""
 
     OPEN = "open"
     CLOSED = "closed"

@@ -1,4 +1,4 @@
-"""Repeated runs of one sample: how far their figures lie apart by themselves (ISO 5725-2)."""
+"""Repeated runs of one sample: repeatability and reproducibility of their figures (ISO 5725-2)."""
 
 import sqlite3
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ class RunsTooFewError(ServiceError):
 
 
 class Conditions(StrEnum):
-    """What runs have in common that were made under equal conditions."""
+    """Conditions that runs of one group have in common."""
 
     DAY = "day"
     """Opened on one day, UTC."""

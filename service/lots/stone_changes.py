@@ -102,7 +102,7 @@ class StoneChanges:
 
 
 def stone_changes(before: Records, after: Records) -> StoneChanges:
-    """Return how stones differ that are in both."""
+    """Compare the stones that are in both sets of records."""
     common = [name for name in before if name in after]
     measured = [
         name for name in common if before[name]["outcome"] == after[name]["outcome"] == Outcome.MEASURED

@@ -31,7 +31,7 @@ class UnknownChoiceError(ServiceError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """Which stones of a lot are to be looked at, and as what: by default all, each in its newest revision."""
+    """A choice of a lot's stones and revisions: by default all, each in its newest revision."""
 
     without: tuple[str, ...] = ()  # ids of stones that are left out
     algorithm_version: str | None = None  # of each stone the newest revision by this version
@@ -94,7 +94,7 @@ def stones_of_lot(connection: sqlite3.Connection, lot: str, choice: Choice = ALL
 
 
 def versions_of_lot(connection: sqlite3.Connection, lot: str) -> dict[str, int]:
-    """Return how many stones of a lot each algorithm version has measured, as far as results are kept."""
+    """Return the number of stones of a lot by each algorithm version that measured them, as far as results are kept."""
     rows = connection.execute(
         "SELECT version, count(DISTINCT first) FROM ("
         "SELECT seq AS first, algorithm_version AS version FROM stones WHERE lot = ?1 UNION ALL "
@@ -108,7 +108,7 @@ def versions_of_lot(connection: sqlite3.Connection, lot: str) -> dict[str, int]:
 
 
 def stones_between(connection: sqlite3.Connection, since: str, until: str) -> Stones:
-    """Return the stones captured from `since` to before `until`, in whatever lot."""
+    """Return the stones captured from `since` to before `until`, of any lot."""
     return stones_in(_rows(connection, "captured_at >= ? AND captured_at < ?", since, until))
 
 

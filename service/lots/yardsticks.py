@@ -1,4 +1,4 @@
-"""What a lot is measured by: the sieves, the specification and the range of sizes, by its product or by request."""
+"""Yardstick of a lot: sieves, specification and range of sizes, by its product or by request."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ class UnknownYardstickError(ServiceError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """What a request asks for in the place of what the product says."""
+    """Choices of a request in the place of the product's."""
 
     sieve_set: str | None = None
     specification: str | None = None
@@ -29,7 +29,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Yardstick:
-    """What a lot is measured by."""
+    """Sieves, specification and range of sizes of a lot."""
 
     sieves: SieveSet
     specification: Specification | None
@@ -49,7 +49,7 @@ def standards() -> Standards:
 
 
 def yardstick_of(definition: ProductDefinition | None, request: Request) -> Yardstick:
-    """Return what stones of a product are measured by; raise `UnknownYardstickError` where that is not known."""
+    """Return the yardstick of a product; raise `UnknownYardstickError` for an unknown sieve set or specification."""
     sieves = _sieves(request.sieve_set or (definition.sieve_set if definition else DEFAULT_SET))
     return Yardstick(
         sieves=sieves,

@@ -35,7 +35,7 @@ class BackgroundVersions:
         self._retired: list[Path] = []
 
     def is_gone(self) -> bool:
-        """Return whether the folder of the version in use was deleted."""
+        """True when the folder of the version in use was deleted."""
         return self.in_use is not None and not self.in_use.exists()
 
     async def advance(self, is_background: bool) -> tuple[Path, ...]:
@@ -47,7 +47,7 @@ class BackgroundVersions:
         return retired
 
     async def learn(self, job: asyncio.Task[Any]) -> None:
-        """Take the job that learns an exposure, and wait for it if later bundles have to.
+        """Note the job that learns an exposure, and wait for it if later bundles have to.
 
         A result that is not a `LearntBackground` changes nothing.
         """

@@ -1,4 +1,4 @@
-"""What runs the jobs of bundles: worker processes of this machine, or a cluster."""
+"""Pools that run the jobs of bundles: worker processes of this machine, or a cluster."""
 
 from collections.abc import Callable
 from typing import Protocol, TypeVar

@@ -50,7 +50,7 @@ class LeftBundle:
 
 
 class _Name(NamedTuple):
-    """What the name of a file says, in the folder of a session."""
+    """Parts of a file's name in the folder of a session."""
 
     session: int
     deaths: int
@@ -107,7 +107,7 @@ def bundles_in(folder: Path) -> set[OpenTrigger]:
 
 
 def is_left(path: Path) -> bool:
-    """Return whether a file is one of an earlier session."""
+    """True for a file of an earlier session."""
     return path.name.startswith(PREFIX)
 
 

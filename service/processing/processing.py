@@ -68,7 +68,7 @@ class DropCollector(Protocol):
     def kind(self) -> BundleKind: ...
 
     async def observe(self, pool: JobPool, job: MeasureJob) -> KeepDrop:
-        """Have a worker observe the drop that the job has measured; its files are in the job's folder."""
+        """Observe the drop that the job has measured, in a worker; its files are in the job's folder."""
         ...
 
 
@@ -232,7 +232,7 @@ class Processing:
         )
 
     async def _inputs(self, bundle: SpooledBundle) -> tuple[JobInputs, tuple[Path, ...]]:
-        """Return what a bundle is processed with, and the versions of the background not needed from it on."""
+        """Return the inputs of a bundle's job, and the versions of the background not needed from it on."""
         if self._backgrounds.is_gone():
             log.error("the background was deleted from the spool folder=%s", self._context.folder)
             kept = self._kept_background
@@ -373,7 +373,7 @@ class Processing:
         return _Measured(measured, folder, keep_drop)
 
     def _is_rush(self) -> bool:
-        """Return whether so many bundles wait that the next body is not refined."""
+        """True when so many bundles wait that the next body is not refined."""
         return self._context.can_rush and self._pool.n_waiting > RUSH_SHARE * self._pool.size
 
 

@@ -1,4 +1,4 @@
-"""Keep the bundles that no worker survived, for whoever looks for the cause; they are not measured again."""
+"""Keep the bundles that no worker survived, to find the cause; they are not measured again."""
 
 import logging
 import shutil

@@ -1,4 +1,4 @@
-"""A worker pool that is started when it is asked for, and ends when nobody asks any more."""
+"""A worker pool that is started with its first job, and ends a while after its last."""
 
 import asyncio
 from collections.abc import Callable
@@ -32,7 +32,7 @@ class RestingPool:
         self._is_closed = False
 
     async def run(self, function: Callable[[Job], Result], job: Job) -> Result:
-        """Return what the pool has computed; raise what `WorkerPool.start` and `run` raise.
+        """Run a job in the pool, which is started if it rests; raise what `WorkerPool.start` and `run` raise.
 
         Raises
         ------

@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SegmenterPlan:
-    """What a worker builds its segmenter from; by default only the comparison with the background."""
+    """Plan of a worker's segmenter; by default only the comparison with the background."""
 
     wanted: SegmenterKind = "background"
     model: bytes | None = None  # content of an ONNX file

@@ -1,4 +1,4 @@
-"""What a stone is measured again with: its frames, its calibration, and the background in use now."""
+"""Jobs that measure a stone again: with its frames, its calibration, and the background in use now."""
 
 import asyncio
 import os
@@ -77,7 +77,7 @@ class Jobs:
         return None if record.get("algorithm_version") == ALGORITHM_VERSION and not was_rushed else record
 
     async def job_for(self, record: Record, out_dir: Path) -> MeasureJob:
-        """Return how the stone is to be measured; raise `RemeasureError` when something for it is gone."""
+        """Return the job that measures a stone again; raise `RemeasureError` when something for it is gone."""
         name, calibration_id = record["id"], record.get("calibration_id")
         frames = await self._store.folder(first_seq(name)) / RAW
         if record["files_removed"] is not None or not await asyncio.to_thread(frames.is_file):

@@ -31,7 +31,7 @@ ORDER, CONTEXT, RECORD = "order.pickle", "context.pickle", "record.json"
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """How one stone is to be measured; `read_order` and `write_record` are for who measures it."""
+    """Order to measure one stone; `read_order` and `write_record` are for the cluster's side."""
 
     job: MeasureJob
     context: Path  # the pickled `WorkerContext` of the daemon's workers
@@ -43,7 +43,7 @@ def read_order(folder: Path) -> Order:
 
 
 def read_context(order: Order) -> WorkerContext:
-    """Return what all orders of a daemon share."""
+    """Return the context that all orders of a daemon share."""
     return _unpickled(order.context, WorkerContext)
 
 

@@ -1,10 +1,10 @@
 """Measure stones of the store again, one at a time, beside the measuring of those that fall.
 
-A process of its own with the lowest priority does it; it is started when it is asked for and ends when nobody asks any
-more. Frames come from the archive, the calibration is the one that the result names, algorithm and parameters are
+A process of its own with the lowest priority does it; it starts with the first request and ends a while after the last.
+Frames come from the archive, the calibration is the one that the result names, algorithm and parameters are
 today's, and so is the background: versions of it are not archived. What is measured with today's algorithm already is
-not measured again, unless its refinement was left out in a rush: whoever asks for all stones of a lot may be killed and
-ask again.
+not measured again, unless its refinement was left out in a rush: a client that asks for all stones of a lot may be
+killed and ask again.
 """
 
 import asyncio
@@ -103,7 +103,7 @@ class Remeasuring:
         self._pool.close()
 
     async def _measured(self, job: MeasureJob) -> MeasuredBundle:
-        """Return what the process has measured; it is started if it rests."""
+        """Measure in the process, which is started if it rests."""
         self._job = asyncio.create_task(self._pool.run(measure, job))
         try:
             await asyncio.wait([self._job])
@@ -112,7 +112,7 @@ class Remeasuring:
             return self._job.result()
         finally:
             if not self._job.done():
-                # whoever asked was given up: nothing of this may get among the next one's files
+                # the request was given up: nothing of this may get among the next one's files
                 self._job.cancel()
                 self._pool.rest()
             self._job = None

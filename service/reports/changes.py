@@ -1,4 +1,4 @@
-"""What has changed since an entry of the crusher's diary, in a sentence."""
+"""Changes since an entry of the crusher's diary, in a sentence."""
 
 from datetime import datetime, timedelta, tzinfo
 

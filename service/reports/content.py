@@ -1,4 +1,4 @@
-"""What a report says, section by section, in the words of a language."""
+"""Contents of a report, section by section, in the words of a language."""
 
 from collections.abc import Iterator
 
@@ -48,7 +48,7 @@ def document_of(data: ReportData) -> Document:
 
 
 def banners(data: ReportData, say: Words) -> Iterator[str]:
-    """Yield why this is no report of production, or none that counts."""
+    """Yield the reasons why this is no report of production, or none that counts."""
     lot = data.figures.lot
     if data.figures.is_simulated:
         yield say("banner.simulated")
@@ -82,7 +82,7 @@ def _verdict_title(data: ReportData, say: Words) -> str:
 
 
 def countdown(data: ReportData, say: Words) -> Iterator[str]:
-    """Yield what keeps the lot from conforming: figure by figure, and the stones and time that would decide it."""
+    """Yield the figures that keep the lot from conforming, with the stones and time that would decide each."""
     figures = data.figures
     named = [
         (say("verdict_box.sieve", sieve=say.size(step.sieve_mm)), step.decision, step.passing_percent)
@@ -125,7 +125,7 @@ def duration(seconds: float, say: Words) -> str:
 
 
 def lot_section(data: ReportData, say: Words) -> Section:
-    """Return what was measured: the lot in ISA-95 words."""
+    """Return the section on the lot, in ISA-95 terms."""
     figures, lot, product = data.figures, data.figures.lot, data.figures.product
     pairs: list[tuple[str, str | None]] = []
     if lot is not None:

@@ -266,7 +266,7 @@ def _beside_band(others: Sequence[tuple[float, Estimate]], axes: _Axes) -> Itera
 
 
 def marker(at: Point, verdict: Verdict | None) -> Shape:
-    """Return the mark of a verdict, told by shape as well as by colour."""
+    """Return the mark of a verdict, distinct by shape as well as by colour."""
     style = Style.NO_LIMITS if verdict is None else VERDICT_STYLES[verdict]
     (x, y), r = at, MARKER_RADIUS
     if style is Style.DOES_NOT_CONFORM:
@@ -279,7 +279,7 @@ def marker(at: Point, verdict: Verdict | None) -> Shape:
 def _legend(
     shown: Sequence[CurveStep], words: Words, beside: Beside | None, *, has_second: bool
 ) -> Iterator[Shape]:
-    """Yield what is on the curve, each with its sign, in as many lines as it takes."""
+    """Yield the legend of the curve, each entry with its sign, in as many lines as it takes."""
     x, y = LEFT, BOTTOM + 5.2 * LABEL_SIZE
     for signs, text in _legend_entries(shown, words, beside, has_second=has_second):
         width = 30 + label_width(text) + 12

@@ -8,7 +8,7 @@ Point = tuple[float, float]
 
 
 class Style(StrEnum):
-    """How a shape is drawn; the class of the SVG element."""
+    """Style of a shape; the class of the SVG element."""
 
     GRID = "grid"
     FRAME = "frame"

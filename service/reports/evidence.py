@@ -1,4 +1,4 @@
-"""What a report rests on: accounting, calibration, uncertainty, pictures, versions."""
+"""Evidence of a report: accounting, calibration, uncertainty, pictures, versions."""
 
 from collections.abc import Iterator, Sequence
 
@@ -12,7 +12,7 @@ MOST_CARDS = 8
 
 
 def accounting(figures: LotFigures, say: Words) -> Section:
-    """Return what became of every stone that fell, and what the curve may lack."""
+    """Return the section on the outcome of every stone that fell, and on the mass missing in the curve."""
     missing = figures.unmeasured
     by_quality = ", ".join(
         f"{say.known('quality', quality)} {say.number(n, 0)}" for quality, n in figures.by_quality.items()
@@ -55,7 +55,7 @@ def accounting(figures: LotFigures, say: Words) -> Section:
 
 
 def _bodies(figures: LotFigures, say: Words) -> Iterator[tuple[str, str]]:
-    """Yield what the measured bodies were made from, and why some were only estimated."""
+    """Yield the counts of estimated and refined bodies, and the reasons why some were only estimated."""
     n_known = sum(figures.by_body.values())
     shares = (
         say(
@@ -88,7 +88,7 @@ def _reason(text: str, say: Words) -> str:
 
 
 def portion(figures: LotFigures, say: Words) -> str:
-    """Return whether the test portion that EN 933-1 asks for was reached."""
+    """Return the sentence on the test portion of EN 933-1: reached, not reached or unknown."""
     least_kg, mass_kg = figures.least_portion_kg, figures.mass_kg
     if least_kg is None:
         return say("accounting.portion_unknown")
@@ -103,7 +103,7 @@ def portion(figures: LotFigures, say: Words) -> str:
 
 
 def calibration(data: ReportData, say: Words) -> Section:
-    """Return which calibration the results rest on, and what the last ball said of it."""
+    """Return the section on the calibrations of the results and the last verification."""
     figures, last = data.figures, data.verification
     ids = ", ".join(figures.calibration_ids) or say("calibration.none")
     facts = Facts(
@@ -142,7 +142,7 @@ def _verification(last: LastVerification, say: Words) -> str:
 
 
 def uncertainty(data: ReportData, say: Words) -> Section:
-    """Return what the intervals hold and what they do not."""
+    """Return the section on what the confidence intervals include and exclude."""
     figures = data.figures
     notes = [
         Note(
@@ -180,7 +180,7 @@ def gallery(stones: Sequence[GalleryStone], say: Words) -> Section:
 
 
 def versions(data: ReportData, say: Words) -> Section:
-    """Return what measured, computed and printed."""
+    """Return the section on the versions of software, algorithm and interface."""
     algorithms = ", ".join(data.figures.algorithm_versions) or DASH
     return Section(
         say("versions.title"),

@@ -43,7 +43,7 @@ def rows(data: ReportData) -> Iterator[Row]:
 
 
 def lot_rows(data: ReportData) -> Iterator[Row]:
-    """Yield what the plant says of the lot."""
+    """Yield the lot, its product and its verdict."""
     figures = data.figures
     for name, value in figures.lot.model_dump(mode="json").items() if figures.lot else ():
         yield Row(section="lot", name=name, value=value)
@@ -99,7 +99,7 @@ def _form_rows(section: str, forms: Iterable[FlatAndElongated]) -> Iterator[Row]
 
 
 def accounting_rows(data: ReportData) -> Iterator[Row]:
-    """Yield what became of every stone."""
+    """Yield the accounting: outcomes, bodies, and the mass that was not measured."""
     figures = data.figures
     for name in ("triggers", "measured", "rejected", "lost"):
         yield Row(section="accounting", name=name, value=getattr(figures, name), unit="stones")
@@ -124,7 +124,7 @@ def accounting_rows(data: ReportData) -> Iterator[Row]:
 
 
 def about_rows(data: ReportData) -> Iterator[Row]:
-    """Yield what the figures rest on."""
+    """Yield calibration, verification and versions behind the figures."""
     figures, last = data.figures, data.verification
     known: Mapping[str, Scalar] = {
         "is_simulated": figures.is_simulated,

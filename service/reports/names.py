@@ -1,4 +1,4 @@
-"""What curves and trends are called in a drawing."""
+"""Names of curves and trends in a drawing."""
 
 from service.base.language import Language
 from service.reports.words import words

@@ -169,7 +169,7 @@ def _section(paper: _Paper, section: Section, following: Section | None) -> None
     paper.ln(5)
     height_mm = 10 + _height_mm(section.blocks[0])
     if following is not None and isinstance(following.blocks[0], Signatures):
-        height_mm += 15 + _height_mm(following.blocks[0])  # nobody signs an empty page
+        height_mm += 15 + _height_mm(following.blocks[0])  # no page of signatures alone
     paper.need(height_mm)
     paper.write_in(12, is_bold=True)
     paper.paragraph(section.title, 6)
@@ -196,7 +196,7 @@ def _section(paper: _Paper, section: Section, following: Section | None) -> None
 
 
 def _height_mm(block: Block) -> float:
-    """Return about how high a block is; one that may break over pages asks for no more than half a page."""
+    """Return the approximate height of a block; one that may break over pages needs no more than half a page."""
     match block:
         case Facts():
             short, long = block.by_length()
@@ -306,7 +306,7 @@ def batched_cards(cards: Sequence[Card]) -> list[Sequence[Card]]:
 
 
 def _card(paper: _Paper, card: Card, x: float, top: float, width_mm: float, picture_mm: float) -> float:
-    """Draw a card; return how far down it reaches."""
+    """Draw a card; return the height of its lower edge."""
     paper.set_fill_color(*SOFT)
     paper.rect(x, top, width_mm, picture_mm, style="F")
     png = readable_png(card.png)

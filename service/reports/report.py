@@ -1,4 +1,4 @@
-"""What the report of a lot is made of: its figures, and the rest that a person signs for."""
+"""Data of a lot's report: its figures, and the rest that a person signs for."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

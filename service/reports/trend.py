@@ -229,7 +229,7 @@ def _mark(x: float, y: float) -> Area:
 
 
 def entry_name(entry: DiaryEntry, say: Words) -> str:
-    """Return what is at the mark of an entry: "gap 25 mm"."""
+    """Return the label at the mark of an entry: "gap 25 mm"."""
     kind = say.known("diary_kind", entry.kind)
     if entry.value is None:
         return kind

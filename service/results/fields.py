@@ -183,7 +183,7 @@ class Result(BaseModel):
         " the visual hull"
     )
     supported_share: Number = _measured(
-        "Share of the surface, 0 to 1, that those pixels say something about; null when nobody looked"
+        "Share of the surface, 0 to 1, that those pixels say something about; null when they were not examined"
     )
     refinement_fallback: Text = _measured(
         "Why the estimate was not refined although `[body] kind` is `photo`; null when it was, or need not be"

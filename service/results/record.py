@@ -61,7 +61,7 @@ def _tangency(result: ParticleResult) -> dict[str, Any]:
 
 
 def optics_record(optics: Mapping[CameraId, ViewOptics]) -> dict[str, Any]:
-    """Return the field `optics` of a record, rounded to what one exposure can tell."""
+    """Return the field `optics` of a record, rounded to the precision of one exposure."""
     return {
         camera: {
             "brightness": round(seen.brightness, 4),

@@ -3,7 +3,7 @@
 from enum import StrEnum
 
 RUSH = "other stones were waiting"
-"""The record's `refinement_fallback` of a stone that nobody had time to refine."""
+"""The record's `refinement_fallback` of a stone that was not refined for want of time."""
 
 
 class NotRefined(StrEnum):
@@ -16,5 +16,5 @@ class NotRefined(StrEnum):
 
 
 def why_not_refined(fallback: str) -> NotRefined:
-    """Return what a record's `refinement_fallback` amounts to."""
+    """Classify a record's `refinement_fallback`."""
     return NotRefined.RUSH if fallback == RUSH else NotRefined.NO_EVIDENCE

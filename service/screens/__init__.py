@@ -1,1 +1,1 @@
-"""What people look at: pages, scripts, styles and words, static files that `service.api.routes.screens` serves."""
+"""The pages for people: scripts, styles and words, static files that `service.api.routes.screens` serves."""

@@ -1,4 +1,4 @@
-"""Answers that were given to requests with an idempotency key, kept for a day for whoever repeats the request."""
+"""Answers that were given to requests with an idempotency key, kept for a day in case a request is repeated."""
 
 import json
 import sqlite3
@@ -14,7 +14,7 @@ KEPT_NS = 24 * 3600 * 10**9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """What was answered, and to which request."""
+    """An answer and the digest of its request."""
 
     request: str  # digest
     status: int

@@ -1,4 +1,4 @@
-"""Who changed what, in the order of the changes; never edited.
+"""The audit trail: changes and their authors, in their order; never edited.
 
 A change of the database is noted in its own transaction, any other right after it was made. The digests of the entries
 are a chain: an entry that was edited or removed breaks it. Each digest is kept in a file beside the database as well,
@@ -63,7 +63,7 @@ class AuditEntry:
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """What the digests of all entries say."""
+    """State of the chain of digests over all entries."""
 
     n_entries: int
     digest: str  # of the last one, empty without any
@@ -135,7 +135,7 @@ def keep_digests(connection: sqlite3.Connection, folder: Path, n_kept: int) -> i
 
 
 def has_kept(connection: sqlite3.Connection, kept: Sequence[str], n_newest: int = N_NEWEST) -> bool:
-    """Return whether the audit has the newest of these entries, each with its digest."""
+    """True when the audit has the newest of these entries, each with its digest."""
     first = max(len(kept) - n_newest, 0)
     if not kept:
         return True
@@ -148,7 +148,7 @@ def has_kept(connection: sqlite3.Connection, kept: Sequence[str], n_newest: int 
 
 
 def check_chain(connection: sqlite3.Connection, known: Sequence[str] = ()) -> Chain:
-    """Return what the digests of all entries say, compared with those `known` from elsewhere, in the same order."""
+    """Verify the chain of digests, also against those `known` from elsewhere, in the same order."""
     n_entries, digest, broken_at = 0, "", None
     for *row, kept in _rows(connection, None, 0, -1):
         n_entries += 1

@@ -62,7 +62,7 @@ def back_up(state_dir: Path, target: Path, go_on: Callable[[], bool] = lambda: T
 
 
 def prune(state_dir: Path, keep: int, made: Path) -> None:
-    """Remove all copies but `keep`: the one just `made`, whatever the clock says, and the newest others.
+    """Remove all copies but `keep`: the one just `made`, even if the clock was set, and the newest others.
 
     What a backup that was killed has left goes too.
     """
@@ -169,7 +169,7 @@ def _require_own_audit(source: Path, connection: sqlite3.Connection, state_dir: 
     if None not in broken_at:
         raise StoreError(
             f"{source}: was tampered with, or is of another store: entry {max(filter(None, broken_at))} of its audit is"
-            " none of this store; with --any-audit it is restored all the same"
+            " not in this store's; with --any-audit it is restored all the same"
         )
 
 

@@ -1,4 +1,4 @@
-"""What the store takes of its disk, and how long that suffices."""
+"""Use of the disk by the store, and the days until it is full."""
 
 import sqlite3
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from service.store.retention import Disk, RetentionLimits
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoreUse:
-    """What the store takes of its disk."""
+    """Use of the disk by the store."""
 
     files_bytes: int
     results_bytes: int
@@ -21,7 +21,7 @@ class StoreUse:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RetentionFacts:
-    """What health is to know of retention; nothing is known before the first look."""
+    """Facts about retention for health; nothing is known before the first look."""
 
     use: StoreUse | None = None
     recordings_bytes: int = 0
@@ -31,7 +31,7 @@ class RetentionFacts:
 
 
 def store_use(connection: sqlite3.Connection, limits: RetentionLimits, disk: Disk, now: datetime) -> StoreUse:
-    """Return what the store takes, and how long the disk suffices for the results of days like the last one."""
+    """Return the space that the store takes, and the days for which the disk suffices at the rate of the last one."""
     first_seq, last_seq, files_bytes = connection.execute(
         "SELECT first_seq, last_seq, files_bytes FROM store"
     ).fetchone()

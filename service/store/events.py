@@ -25,7 +25,7 @@ class EventType(StrEnum):
     LOT_REVISED = "lot.revised"
     """A stone of this closed lot was measured again."""
     ALARM_RAISED = "alarm.raised"
-    """It needs someone: it is new, has come back, has become worse, or is suppressed or shelved no longer."""
+    """It needs an operator: it is new, has come back, has become worse, or is suppressed or shelved no longer."""
     ALARM_CLEARED = "alarm.cleared"
     """Its cause is gone, or it is suppressed under another alarm."""
     ALARM_ACKNOWLEDGED = "alarm.acknowledged"

@@ -94,7 +94,7 @@ def open_history(state_dir: Path) -> None:
 
 
 def _has_audit(path: Path, state_dir: Path) -> bool:
-    """Return whether the database has the audit whose digests are kept beside it."""
+    """True when the database has the audit whose digests are kept beside it."""
     known = audit.kept_digests(state_dir)
     with schema.connect_reader(path) as connection:
         return audit.has_kept(connection, known)
@@ -260,7 +260,7 @@ def explain(folder: Path, note: str) -> None:
 
 
 def incidents(state_dir: Path) -> list[str]:
-    """Return what was moved away at a start and still lies there, each with its note."""
+    """Return the notes on all that was moved aside at a start and still lies there."""
     found = []
     for path in sorted((state_dir / ASIDE).glob(f"*/{NOTE}")):
         with suppress(OSError):  # moved elsewhere just now
@@ -290,7 +290,7 @@ def acknowledged(state_dir: Path) -> tuple[str | None, int]:
 
 
 def _find_loss(connection: sqlite3.Connection, state_dir: Path, *, is_new: bool) -> str | None:
-    """Return how it shows that the database lacks results that were acknowledged, None if it does not."""
+    """Return the evidence that the database lacks acknowledged results, None without any."""
     instance_id, last_seq = connection.execute("SELECT instance_id, last_seq FROM store").fetchone()
     noted_id, noted_seq = acknowledged(state_dir)
     if is_new:
@@ -338,7 +338,7 @@ def _seq_of(name: str) -> int | None:
 
 
 def _drop_unfinished(connection: sqlite3.Connection, state_dir: Path) -> None:
-    """Remove the folder of the next result, which a crash left on whichever day without its row."""
+    """Remove the folder of the next result, which a crash left without its row, under any day."""
     instance_id, last_seq = connection.execute("SELECT instance_id, last_seq FROM store").fetchone()
     name = particle_id(instance_id, last_seq + 1)
     particles_dir = state_dir / PARTICLES

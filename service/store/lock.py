@@ -27,7 +27,7 @@ def lock_store(state_dir: Path) -> int:
 
 
 def is_locked(state_dir: Path) -> bool:
-    """Return whether a process has the store open; False when there is no such folder."""
+    """True while a process has the store open; False when there is no such folder."""
     try:
         descriptor = lock_store(state_dir)
     except StoreError:

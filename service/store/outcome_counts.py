@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutcomeCounts:
-    """How many results there are of each outcome, reason and quality (empty where there is none), removed ones too."""
+    """Number of results of each outcome, reason and quality (empty where there is none), removed ones too."""
 
     up_to_seq: int = 0
     n: Mapping[tuple[str, str, str], int] = field(default_factory=dict)

@@ -39,7 +39,7 @@ def revision_folder(folder: str, revision: int) -> str:
 
 
 def is_folder(folder: str) -> bool:
-    """Return whether a text of the database is that of a particle's folder: below `particles`, and nothing else."""
+    """True when a text of the database is the path of a particle's folder, below `particles` and nothing else."""
     return FOLDER.fullmatch(folder) is not None
 
 

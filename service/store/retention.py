@@ -1,4 +1,4 @@
-"""What is kept, and for how long: of each stone first its files are removed, and long afterwards its numbers.
+"""Retention: of each stone first its files are removed, and long afterwards its numbers.
 
 The oldest go first, a few at a time. The row says so durably before the files are touched, so a kill in between
 leaves nothing in doubt. Pinned results stay. Results that a consumer has not read yet stay for `consumer_days` longer.
@@ -24,7 +24,7 @@ FIRST_TIME = "2020"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RetentionLimits:
-    """How much is kept, each limit for itself; 0: no limit."""
+    """Limits of retention, each for itself; 0: no limit."""
 
     files_days: float = 0.0  # age of meshes, silhouettes, frames and pictures
     max_files_gb: float = 0.0  # size of meshes and silhouettes
@@ -123,7 +123,7 @@ def remove_results(connection: sqlite3.Connection, limits: RetentionLimits, now:
         n_read = sum(read_by_all is None or seq <= read_by_all for seq, _ in rows)
         times = [recorded_at for _, recorded_at in rows]
         n_due = min(_n_older(times, limits.results_days, now), n_read)
-        if limits.results_days:  # also if nobody reads them
+        if limits.results_days:  # also if no consumer reads them
             n_due = max(n_due, _n_older(times, limits.results_days + limits.consumer_days, now))
         due = rows[: min(n_due, STEP)]
         if due:
@@ -141,12 +141,12 @@ def remove_results(connection: sqlite3.Connection, limits: RetentionLimits, now:
 
 
 def is_older(time: str, days: float, now: datetime) -> bool:
-    """Return whether a time is so many days ago; never for 0 days, and not if it is unknown."""
+    """True when a time is older than so many days; never for 0 days or an unknown time."""
     return _n_older([time], days, now) == 1
 
 
 def _n_older(times: Iterable[str], days: float, now: datetime) -> int:
-    """Return how many of the first times are so many days ago; unknown ones count if a later one is, too."""
+    """Count the leading times older than so many days; unknown ones count if a later one does."""
     if days == 0:
         return 0
     limit, n_older = rfc3339(now - timedelta(days=days)), 0
@@ -159,7 +159,7 @@ def _n_older(times: Iterable[str], days: float, now: datetime) -> int:
 
 
 def _excess_bytes(connection: sqlite3.Connection, limits: RetentionLimits, disk: Disk) -> float:
-    """Return how many bytes of files are too many, those that are being removed not counted."""
+    """Return the bytes of files beyond the limits, those that are being removed not counted."""
     (going_bytes,) = connection.execute(
         "SELECT total(bytes) FROM files WHERE removed IS NOT NULL AND bytes IS NOT NULL"
     ).fetchone()

@@ -1,4 +1,4 @@
-"""Revise a result: a later item of the feed tells the same stone anew, and the first one stays as it is.
+"""Revise a result: a later item of the feed describes the same stone anew, and the first one stays as it is.
 
 A revision has the stone's `id`, a `seq` of its own, and its files within the stone's folder, so that whatever holds,
 moves or removes that folder takes them along. The raw frames stay where they are, and the accounting knows first
@@ -26,7 +26,7 @@ KEPT = (
     "is_replay",
     "verification",
 )
-"""Fields that are of the stone and its fall, whoever measures it."""
+"""Fields of the stone and its fall, which measuring again does not change."""
 
 
 def add_revision(

@@ -116,13 +116,13 @@ class Store:
         return self._writer.trouble
 
     def require_writable(self) -> None:
-        """Raise `StoreError` while the store is held: a client is told so instead of waiting."""
+        """Raise `StoreError` while the store is held, so that a client need not wait."""
         if (trouble := self.trouble) is not None:
             raise StoreError(str(trouble))
 
     @property
     def incidents(self) -> list[str]:
-        """What was moved aside at a start, because the database was damaged or had lost results."""
+        """Notes on what was moved aside at a start, because the database was damaged or had lost results."""
         return history.incidents(self.dir)
 
     @property
@@ -183,7 +183,7 @@ class Store:
     ) -> None:
         """Note in the audit what was changed outside of the database, unless nothing was.
 
-        Call it right after the change. While the store is held nobody waits: the entry is written later, and logged.
+        Call it right after the change. It waits for no store that is held: the entry is written later, and logged.
         """
         if before == after:
             return
@@ -250,7 +250,7 @@ class Store:
         return max(history.backups_in(self.dir), default=None)
 
     async def open_triggers(self, among: Iterable[tuple[int, str]]) -> list[tuple[int, str]]:
-        """Return which triggers `among` some (session and bundle) an earlier session left open, in their order."""
+        """Return those triggers `among` some (session and bundle) that an earlier session left open, in their order."""
         return await self.read(reads.open_triggers, self._session, among)
 
     async def lose_open(
@@ -298,7 +298,7 @@ class Store:
 
     @property
     def is_released(self) -> bool:
-        """Whether nobody is to wait any more, because the daemon is about to stop."""
+        """True while stopping: long polls return at once."""
         return self._released
 
     def release_waiters(self) -> None:
@@ -319,7 +319,7 @@ class Store:
     def write_later(
         self, work: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
     ) -> "asyncio.Future[T]":
-        """Have `work(connection, ...)` done after all earlier writes; the caller bounds how many wait."""
+        """Queue `work(connection, ...)` after all earlier writes; the caller bounds the number that wait."""
         return self._submit(lambda connection: work(connection, *args, **kwargs))
 
     async def write_soon(
@@ -353,7 +353,7 @@ class Store:
         return written
 
     def _note_newest(self, connection: sqlite3.Connection) -> None:
-        """Note how far results, events and the audit are, and remove raw frames that are too old.
+        """Note the newest result, event and entry of the audit, and remove raw frames that are too old.
 
         The disk may refuse until the next time.
         """

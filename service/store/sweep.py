@@ -46,7 +46,7 @@ def sweep(state_dir: Path, go_on: Callable[[], bool]) -> None:
 def _unnamed(
     connection: sqlite3.Connection, folders: Sequence[tuple[Path, int]]
 ) -> tuple[list[Path], list[Path]]:
-    """Return which folders are of removed files, and which no result names; the next result may be being written."""
+    """Return the folders of removed files, and those that no result names; the next result may be being written."""
     (last_seq,) = connection.execute("SELECT last_seq FROM store").fetchone()
     removed, unknown = [], []
     for path, seq in folders:

@@ -1,4 +1,4 @@
-"""Why the store cannot be written or read, told from the errors of SQLite and of the file system."""
+"""Reasons why the store cannot be written or read, from the errors of SQLite and of the file system."""
 
 import errno
 import json

@@ -1,4 +1,4 @@
-"""The guides: their links lead somewhere, the front door stays short, the paper's page names what exists."""
+"""The guides: links lead somewhere, the front door is short, what the pages name exists, all decisions are indexed."""
 
 import re
 from pathlib import Path
@@ -36,6 +36,31 @@ def test_tests_that_are_named_exist() -> None:
     sources = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
     assert len(named) > 50
     assert {name for name in named if f"def {name}(" not in sources} == set()
+
+
+def test_rooms_of_the_services_guide_exist() -> None:
+    service = ROOT / "service"
+    rooms = re.findall(r"^\| `([\w/]+/)` \|", (service / "README.md").read_text(encoding="utf-8"), re.M)
+    assert len(rooms) > 10
+    assert [room for room in rooms if not (service / room / "__init__.py").exists()] == []
+
+
+def test_the_index_of_decisions_is_complete() -> None:
+    """Each decision of a guide has its row, whose links lead to just the guides that have it."""
+    decided = {
+        (int(number), guide)
+        for guide in GUIDES
+        for number in re.findall(r"^- \*\*(\d+)\. ", guide.read_text(encoding="utf-8"), re.M)
+    }
+    index = ROOT / "service" / "README.md"
+    rows = re.findall(r"^\| (\d+) \| .+? \| (.+) \|$", index.read_text(encoding="utf-8"), re.M)
+    indexed = [
+        (int(number), (index.parent / link).resolve() if link else index)
+        for number, links in rows
+        for link in re.findall(r"\]\(([^)#]*)#decisions\)", links)
+    ]
+    assert sorted(indexed) == sorted(decided)
+    assert [int(number) for number, _ in rows] == sorted({number for number, _ in decided})
 
 
 def papers_page() -> str:

@@ -31,7 +31,7 @@ class AcquisitionRequest(BaseModel):
     responses=problem_responses(),
 )
 async def acquisition(context: Context) -> AcquisitionStatus:
-    """Return whether stones are being measured, and if not, why."""
+    """Return the state of the acquisition, and the reason if no stones are being measured."""
     return context.control.acquisition_status()
 
 

@@ -1,4 +1,4 @@
-"""Alarms: what needs somebody now, with what to do; acknowledged and shelved by people."""
+"""Alarms: conditions that need an operator, with the remedy; acknowledged and shelved by people."""
 
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
@@ -43,7 +43,7 @@ class AlarmsDocument(BaseModel):
     """All alarms that have not ended, the most urgent first."""
 
     items: list[AlarmDocument] = Field(description="Unacknowledged, acknowledged and returned ones")
-    shelved: list[AlarmDocument] = Field(description="Put aside by somebody for a time")
+    shelved: list[AlarmDocument] = Field(description="Put aside by an operator for a time")
     suppressed: list[AlarmDocument] = Field(description="Caused by another alarm, which is the one to act on")
 
 

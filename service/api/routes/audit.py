@@ -35,7 +35,7 @@ async def audit(
     after: After = 0,
     limit: Annotated[int, Query(ge=1, le=1000, description="Entries of a page, at most")] = 100,
 ) -> AuditPage:
-    """Return who changed what, oldest first. Every write over REST is in here, but for the cursors of consumers."""
+    """Return the audit trail, oldest first: every write over REST but the cursors of consumers, with its author."""
     return AuditPage(items=await context.store.read(entries, subject, after, limit))
 
 

@@ -157,7 +157,7 @@ _add_action(
 
 
 def _facts(context: ApiContext, name: str, action: CalibrationAction) -> dict[str, Any] | None:
-    """Return what an action may change: which calibration is in use, or the record of this one."""
+    """Return the state that an action may change: the calibration in use, or the record of this one."""
     known = context.control.calibrations
     if action is CalibrationAction.ACTIVATE:
         return asdict(known.activated)

@@ -45,7 +45,7 @@ async def curve_request_of(
         ),
     ] = None,
 ) -> CurveRequest:
-    """Return how a curve is drawn; raise the problem 404 for an unknown lot beside it."""
+    """Return the request for a drawing; raise the problem 404 for an unknown lot beside it."""
     if beside_lot is not None:
         existing(await context.store.read(find_lot, beside_lot), "lot", beside_lot)
     return CurveRequest(
@@ -84,7 +84,7 @@ async def current_curve(
     minutes: Minutes = 60.0,
     product: ProductId = None,
 ) -> Response:
-    """Return the gradation curve of what fell within the last minutes, in whatever lot or in none."""
+    """Return the gradation curve of the stones that fell within the last minutes, of any lot or none."""
     name = minutes_name(minutes, wanted.language)
     since, until = last_minutes(minutes)
     text = await shared(context, window_curve_svg, since, until, product, name, wanted, keep_s=KEEP_S)

@@ -73,7 +73,7 @@ async def get_changes(
     hours: Hours = 24.0,
     language: Annotated[Language, Query(description="Language of the sentences")] = Language.ENGLISH,
 ) -> Response:
-    """Return what has changed since each entry of the last hours: D50, FI, SI and stones a minute, before and after.
+    """Return the changes since each entry of the last hours: D50, FI, SI and stones a minute, before and after.
 
     Each side reaches to the neighbouring entry, at most 12 h. Stones that fall soon after each other are alike, which
     the intervals allow for. Clock times in sentences are the host's.

@@ -145,7 +145,7 @@ async def post_sieving(context: Context, lot: LotName, wanted: SievingRequest, a
     "/lots/{lot}/sieving", response_model=Sievings, dependencies=READABLE, responses=problem_responses(404)
 )
 async def list_sievings(context: Context, lot: LotName) -> Response:
-    """Return what laboratories found in a lot."""
+    """Return the sievings of a lot by laboratories."""
     existing(await context.store.read(find_lot, lot), "lot", lot)
     content = await context.reading.run(read, context.store.path, sievings_json, lot)
     return Response(content, media_type="application/json")

@@ -64,7 +64,7 @@ async def request_of(
         str | None, Query(max_length=200, description="Another than the product's")
     ] = None,
 ) -> Request:
-    """Return what the figures of a request are to be measured by."""
+    """Return the yardsticks of a request: sieve set, specification and measured sizes."""
     return Request(sieve_set=sieve_set, specification=specification, measured=context.control.lots.measured)
 
 
@@ -84,7 +84,7 @@ def choice_of(
         ),
     ] = None,
 ) -> Choice:
-    """Return which stones of the lot are looked at."""
+    """Return the choice of stones: those left out, and the algorithm version."""
     return Choice(without=tuple(sorted(set(without or ()))), algorithm_version=algorithm_version)
 
 
@@ -114,7 +114,7 @@ async def gradation(
 
 @router.get("/{lot}/algorithm-versions", response_model=LotVersions, responses=problem_responses(404))
 async def algorithm_versions(context: Context, lot: LotName) -> dict[str, Any]:
-    """Return which versions of the algorithms have measured stones of a lot, each with the number of them."""
+    """Return the algorithm versions that have measured stones of a lot, each with the number of them."""
     existing(await context.store.read(find_lot, lot), "lot", lot)
     found = await context.reading.run(read, context.store.path, versions_of_lot, lot)
     items = [{"algorithm_version": version, "n_stones": n_stones} for version, n_stones in found.items()]

@@ -1,4 +1,4 @@
-"""Pin results: they and their files are kept whatever their age."""
+"""Pin results: they and their files are kept at any age."""
 
 import sqlite3
 

@@ -122,5 +122,5 @@ async def stop_recording(context: Context, name: RecordingName, asking: Who) -> 
 
 
 def _facts(status: RecordingStatus) -> dict[str, Any]:
-    """Return what the audit is to know of a recording."""
+    """Return the facts about a recording that the audit keeps."""
     return {name: value for name, value in asdict(status).items() if name not in ("name", "made_by")}

@@ -22,7 +22,7 @@ STATUS = {Hindrance.NO_FRAMES: HTTPStatus.NOT_FOUND}
 
 
 class Remeasured(BaseModel):
-    """What came of measuring a stone again."""
+    """Outcome of measuring a stone again."""
 
     is_new: bool = Field(
         description="False: the newest result is of today's algorithm already; nothing was done"
@@ -95,7 +95,7 @@ async def remeasure_particle(
 async def order_revision(context: Context, particle_id: ParticleKey) -> Ordered:
     """Write down how a stone is to be measured again, for `stonefall remeasure --executor` on the daemon's host.
 
-    The store is not changed. What hinders it is told as with `POST /particles/{id}/revisions`.
+    The store is not changed. Hindrances are those of `POST /particles/{id}/revisions`.
     """
     name = (await find_record(context, particle_id))["id"]
     with hindrances():

@@ -29,7 +29,7 @@ router = APIRouter(prefix="/session", tags=["session"])
 
 
 async def asker(request: Request, context: Context) -> Asker:
-    """Return who asks, known or not: these resources are open, and `openapi.json` names no key for them."""
+    """Identify the requester, known or not: these resources are open, and `openapi.json` names no key for them."""
     return await asker_of(request, context, await bearer(request))
 
 
@@ -51,7 +51,7 @@ class SessionDocument(BaseModel):
     """Who asks, and what that allows."""
 
     who: str | None = Field(
-        description="As in the audit: `key NAME`, or `this machine` where no key is needed; null: nobody that is known"
+        description="As in the audit: `key NAME`, or `this machine` where no key is needed; null: unknown"
     )
     scopes: list[Scope] = Field(description="What may be asked for: `read`, `operate`, `configure`")
     expires_at: str | None = Field(
@@ -73,7 +73,7 @@ async def sign_in(request: Request, response: Response, context: Context, wanted
     """
     origin = request.headers.get("origin")
     if origin is not None and not is_own_origin(request, origin, context.settings):
-        raise Problem(403, "foreign-origin", f"a page of {origin!r} must not sign anybody in here; {PROXY}")
+        raise Problem(403, "foreign-origin", f"a page of {origin!r} must not sign in here; {PROXY}")
     await keys_now(context)
     key = checked_key(request, context, wanted.token)
     session, cookie = context.sessions.begin(key, time.time())
@@ -87,9 +87,9 @@ async def sign_in(request: Request, response: Response, context: Context, wanted
 
 @router.get("", response_model=SessionDocument, responses=problem_responses(401, 429))
 async def session(request: Request, response: Response, context: Context, asking: Asking) -> SessionDocument:
-    """Return who asks and what that allows, and renew the session of a browser. Needs no key.
+    """Return the requester's name and scopes, and renew the session of a browser. Needs no key.
 
-    A page asks once in an hour. 401 only for a bearer token that is none.
+    A page asks once in an hour. 401 only for an invalid bearer token.
     """
     response.headers["Cache-Control"] = "no-store"
     if asking.key is not None and asking.session is not None:
@@ -108,7 +108,7 @@ async def session(request: Request, response: Response, context: Context, asking
 
 @router.delete("", status_code=204, response_class=Response, responses=problem_responses(401, 403, 429))
 async def sign_out(request: Request, context: Context, asking: Asking) -> Response:
-    """End the session of this browser, for whoever has its cookie; without one, nothing happens."""
+    """End the session of this browser; its cookie suffices. Without one, nothing happens."""
     response = Response(status_code=204)
     if asking.session is not None:
         require_own_page(request, context.settings)

@@ -38,7 +38,7 @@ async def cursor(
 async def still_allowed(
     request: Request, context: Context, credentials: Credentials, _: Annotated[None, Depends(may_read)]
 ) -> StillAllowed:
-    """Return what asks again whether the key of the request may read."""
+    """Return the check that the key of the request may still read."""
     return lambda: may_read(request, context, credentials)
 
 

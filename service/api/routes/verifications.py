@@ -173,5 +173,5 @@ async def void_verification(
 
 
 def _facts(verification: Verification) -> dict[str, Any]:
-    """Return what the audit is to know of a verification: all but its balls."""
+    """Return the facts about a verification that the audit keeps: all but its balls."""
     return {name: value for name, value in asdict(verification).items() if name != "balls"}

@@ -22,13 +22,13 @@ router = APIRouter(prefix="/webhooks", tags=["webhooks"], dependencies=[Depends(
 
 
 class WebhookDocument(BaseModel):
-    """An endpoint that is told of events, and how far it is; without its secrets."""
+    """An endpoint that events are posted to, and its progress; without its secrets."""
 
     name: str = Field(description="As it is configured")
     url: str = Field(description="Scheme, host and first part of the path: the rest may be secret")
-    events: list[EventType] = Field(description="What it is told of")
+    events: list[EventType] = Field(description="Types of the events that it gets")
     after: int = Field(description="`seq` of the last event that it has taken")
-    waiting: int = Field(description="Events that it is to be told of yet")
+    waiting: int = Field(description="Events that wait to be posted to it")
     attempts: int = Field(description="Failed ones of the next event")
     failing_since: str | None = Field(
         json_schema_extra=TIME, description="First of these, RFC 3339 UTC; null without any"
@@ -41,7 +41,7 @@ class WebhookDocument(BaseModel):
         json_schema_extra=TIME, description="When it took a message last; null before the first"
     )
     disabled_at: str | None = Field(
-        json_schema_extra=TIME, description="Not null: it is told nothing until somebody enables it"
+        json_schema_extra=TIME, description="Not null: it gets nothing until it is enabled"
     )
 
 
@@ -58,12 +58,12 @@ class DeliveriesDocument(BaseModel):
 
 
 class ReplayRequest(BaseModel):
-    """From where an endpoint is told again."""
+    """From where events are posted to an endpoint again."""
 
     model_config = ConfigDict(extra="forbid")
 
     after: int = Field(
-        ge=0, le=MAX_SEQ, strict=True, description="`seq` of the last event that is not told again"
+        ge=0, le=MAX_SEQ, strict=True, description="`seq` of the last event that is not posted again"
     )
 
 
@@ -80,7 +80,7 @@ Name = Annotated[str, Depends(name_of)]
 
 @router.get("", response_model=WebhooksDocument, responses=problem_responses())
 async def webhooks(context: Context) -> dict[str, Any]:
-    """Return all endpoints, and how far they are."""
+    """Return all endpoints, and the progress of each."""
     return {"items": [_document(status) for status in await context.control.webhooks.statuses()]}
 
 
@@ -90,7 +90,7 @@ async def webhook_deliveries(
     name: Name,
     limit: Annotated[int, Query(ge=1, le=500, description="Attempts, at most")] = 100,
 ) -> DeliveriesDocument:
-    """Return what came of the newest attempts to tell an endpoint, newest first."""
+    """Return the outcomes of the newest attempts to post to an endpoint, newest first."""
     return DeliveriesDocument(items=await context.store.read(deliveries, name, limit))
 
 
@@ -104,9 +104,9 @@ async def enable_webhook(context: Context, name: Name, asking: Who) -> dict[str,
 
 @router.post("/{webhook}/replay", response_model=WebhookDocument, responses=problem_responses(404, 409, 410))
 async def replay_webhook(context: Context, name: Name, wanted: ReplayRequest, asking: Who) -> dict[str, Any]:
-    """Tell an endpoint of all events after a number, again, under the ids that they had; forward, it skips events.
+    """Post all events after a number to an endpoint again, under the ids that they had; forward, it skips events.
 
-    One that is disabled is told when it is enabled. 409 `cursor-ahead` and 410 `cursor-expired` as at `/events`.
+    A disabled one gets them when it is enabled. 409 `cursor-ahead` and 410 `cursor-expired` as at `/events`.
     """
     context.store.require_writable()
     try:
@@ -119,7 +119,7 @@ async def replay_webhook(context: Context, name: Name, wanted: ReplayRequest, as
 
 @router.post("/{webhook}/test", responses=problem_responses(404))
 async def test_webhook(context: Context, name: Name, asking: Who) -> Attempt:
-    """Send an endpoint a `webhook.test` now, once, disabled or not; return what came of it.
+    """Send an endpoint a `webhook.test` now, once, disabled or not; return the outcome.
 
     It takes as long as the endpoint, `[webhooks] timeout_s` at most. 503 `busy` while another test is under way.
     """

@@ -29,7 +29,7 @@ async def current_window(
     minutes: Minutes = 60.0,
     product: ProductId = None,
 ) -> Response:
-    """Return the figures of what fell within the last minutes, in whatever lot or in none."""
+    """Return the figures of the stones that fell within the last minutes, of any lot or none."""
     return await _figures(context, *last_minutes(minutes), product, measuring)
 
 

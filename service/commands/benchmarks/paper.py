@@ -66,7 +66,7 @@ class Compared:
 
     @property
     def ratio(self) -> float:
-        """How many times nearer to the truth ours is than the paper's method on the same images."""
+        """Error of the paper's method by the error of ours, on the same images."""
         return self.paper_mm / self.ours_mm
 
 

@@ -56,7 +56,7 @@ class Expected:
 
 @dataclass
 class Observer:
-    """Notes what clients can read, whenever it is told to look."""
+    """Notes the results that clients can read at each `look`."""
 
     state_dir: Path
     histories: dict[str, dict[int, str]] = field(
@@ -74,7 +74,7 @@ class Observer:
         seen.update({seq: id_ for seq, id_, _, _ in rows})
 
     def expected(self, script: str, lots: Any, alarms: Any, health: Iterable[str]) -> Expected:
-        """Return what a correct client has, after the last look."""
+        """Return the state of a correct client after the last look."""
         self.look()
         instance_id, first_seq, last_seq, rows = _read(self.state_dir)
         current = self.histories[instance_id]

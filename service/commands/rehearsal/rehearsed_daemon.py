@@ -1,4 +1,4 @@
-"""The daemon of a rehearsal: a process that is configured, killed, stopped and started as told."""
+"""The daemon of a rehearsal: a process that the script configures, kills, stops and starts."""
 
 import json
 import signal
@@ -116,7 +116,7 @@ class RehearsedDaemon:
         return dict(document)
 
     def find(self, path: str) -> dict[str, Any] | None:
-        """Return what is at a path, None while there is no answer or nothing there."""
+        """Return the document at a path, None while there is no answer or nothing there."""
         try:
             return self.ask("GET", path)
         except RehearsalError:
@@ -142,14 +142,14 @@ class RehearsedDaemon:
 
 
 def free_port() -> int:
-    """Return a port that nobody listens on."""
+    """Return a free TCP port."""
     with closing(socket.socket()) as found:
         found.bind((HOST, 0))
         return int(found.getsockname()[1])
 
 
 def is_free(port: int) -> bool:
-    """Return whether a port can be listened on."""
+    """True when a socket can be bound to the port."""
     with closing(socket.socket()) as tried:
         tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

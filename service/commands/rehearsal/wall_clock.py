@@ -17,7 +17,7 @@ def set_ahead(path: Path, seconds: float) -> None:
 
 
 def follow_file(path: Path) -> None:
-    """Have all of stonefall in this process read a clock that is ahead by what the file says, in seconds."""
+    """Set the clock of stonefall in this process ahead by the seconds in the file."""
 
     def time_s() -> float:
         return hosts_time_s() + float(path.read_text())

@@ -1,1 +1,1 @@
-"""Alarms in the manner of ISA-18.2: what needs somebody, how urgently, and what to do."""
+"""Alarms in the manner of ISA-18.2: conditions that need an operator, with their urgency and remedy."""

@@ -13,7 +13,7 @@ class AlarmState(StrEnum):
     UNACKNOWLEDGED = "unacknowledged"
     ACKNOWLEDGED = "acknowledged"
     RETURNED = "returned"
-    """Its cause is gone, and nobody has acknowledged it: somebody should know of it."""
+    """Its cause is gone, and it was not acknowledged: an operator should know of it."""
     SHELVED = "shelved"
     """An operator has put it aside for a time."""
     SUPPRESSED = "suppressed"
@@ -38,7 +38,7 @@ class Alarm:
     check: str
     """The check of `/health` that does not pass, such as `gate` or `camera:c01`."""
     state: AlarmState
-    """In the words of ISA-18.2; returned: its cause is gone, and nobody has acknowledged it."""
+    """In the words of ISA-18.2; returned: its cause is gone, and it was not acknowledged."""
     priority: Priority
     """The highest since it was raised."""
     detail: str | None
@@ -48,13 +48,13 @@ class Alarm:
     changed_at: Time
     """When its state or priority last changed."""
     occurrences: int = 1
-    """How often its cause came back before somebody acknowledged it, and 1."""
+    """Times that its cause occurred until it was acknowledged, at least 1."""
     cleared_at: OptionalTime = None
     """When its cause was last gone."""
     acknowledged_at: OptionalTime = None
-    """When somebody took note; null while nobody has."""
+    """When it was acknowledged; null while it is not."""
     acknowledged_by: str | None = None
-    """Name of the key that took note."""
+    """Name of the key that acknowledged it."""
     shelved_until: OptionalTime = None
     """When it comes back; null while it is not shelved."""
     shelved_by: str | None = None

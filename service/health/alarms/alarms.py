@@ -53,7 +53,7 @@ class Alarms:
         self.rules = rules or load_rules()
 
     def update(self, checks: Mapping[str, HealthCheck]) -> None:
-        """Take the checks of health as they are now; to be called often."""
+        """Update the alarms by the present checks of health; to be called often."""
         self._checks = checks
         for change in self._machine.update(checks, time.monotonic(), utc_now()):
             self._note(change)
@@ -68,7 +68,7 @@ class Alarms:
         )
 
     async def acknowledge(self, number: int, who: str) -> Alarm | None:
-        """Have somebody take note of an alarm, and return it; None if there is none that has not ended.
+        """Acknowledge an alarm and return it; None if there is none that has not ended.
 
         Raises
         ------
@@ -95,7 +95,7 @@ class Alarms:
         return None if change is None else await self._noted(change, before, who, "alarm shelved")
 
     async def unshelve(self, number: int, who: str) -> Alarm | None:
-        """Take an alarm from the shelf, and return it; None if there is none that has not ended.
+        """Unshelve an alarm and return it; None if there is none that has not ended.
 
         Raises
         ------
@@ -139,5 +139,5 @@ def _audited(before: Alarm | None, after: Alarm, who: str, action: str) -> Write
 
 
 def _data(alarm: Alarm) -> Mapping[str, Any]:
-    """Return what an event says of an alarm."""
+    """Return the data of an alarm's event."""
     return {name: value for name, value in asdict(alarm).items() if name not in ("check", "changed_at")}

@@ -3,7 +3,7 @@
     none --> unacknowledged <--> acknowledged --> none         `<--`: it became more urgent
                   |    ^
                   v    |  its cause is gone, and comes back
-               returned --> none                               when somebody acknowledges it
+               returned --> none                               when it is acknowledged
 
 From each of them to `shelved`, by request and for a time, and to `suppressed`, while a parent is active; from there
 back to unacknowledged if the cause is there, else it ends. At most one alarm of a check has not ended.
@@ -28,7 +28,7 @@ class AlarmConflictError(ServiceError):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """An alarm as it is now, and what happened to it; without event if that concerns nobody."""
+    """An alarm as it is now, and what happened to it; without event if there is nothing to report."""
 
     alarm: Alarm
     event: EventType | None
@@ -36,7 +36,7 @@ class Change:
 
 @dataclass(slots=True)
 class _Watched:
-    """What is known of a check: how it is now, and since when; and whether that has lasted for the rule's delay."""
+    """State of a check, its beginning, and whether it has lasted for the rule's delay."""
 
     rule: Rule
     is_active: bool = False
@@ -84,11 +84,11 @@ class AlarmMachine:
         return sorted(newest_first, key=lambda alarm: alarm.priority.rank)
 
     def resume_shelf(self, check: str, ends_s: float) -> None:
-        """Say when the time of a shelved alarm of an earlier run is over."""
+        """Set the end of the shelving of an alarm of an earlier run."""
         self._shelf_ends_s[check] = ends_s
 
     def update(self, checks: Mapping[str, HealthCheck], now_s: float, at: str) -> list[Change]:
-        """Take the checks as they are now; one that is missing has nothing to say any more."""
+        """Update the alarms by the present checks; one that is missing counts as passed."""
         for name in checks:
             self._watch(name)
         for name, watched in self._watched.items():
@@ -110,12 +110,12 @@ class AlarmMachine:
         return changes
 
     def acknowledge(self, number: int, who: str, at: str) -> Change | None:
-        """Have somebody take note of an alarm; None if there is none of this number or it was acknowledged.
+        """Acknowledge an alarm; None if there is none of this number or it was acknowledged.
 
         Raises
         ------
         AlarmConflictError
-            It is shelved or suppressed: there is nothing to take note of.
+            It is shelved or suppressed: there is nothing to acknowledge.
         """
         alarm = self.find(number)
         if alarm is None or alarm.state is AlarmState.ACKNOWLEDGED:
@@ -152,7 +152,7 @@ class AlarmMachine:
         return self._keep(Change(alarm, EventType.ALARM_SHELVED))
 
     def unshelve(self, number: int, now_s: float) -> Alarm | None:
-        """Have the next `update` take an alarm from the shelf; return it, None if there is none of this number.
+        """Unshelve an alarm with the next `update`; return it, None if there is none of this number.
 
         Raises
         ------
@@ -177,7 +177,7 @@ class AlarmMachine:
         return self._watched.setdefault(check, _Watched(rule))
 
     def _is_suppressed(self, watched: _Watched) -> bool:
-        """Return whether a parent that is at least as urgent is active."""
+        """True when a parent that is at least as urgent is active."""
         own = watched.priority
         for name in watched.rule.parents:
             parent = self._watched.get(name)
@@ -198,7 +198,7 @@ class AlarmMachine:
         now_s: float,
         at: str,
     ) -> Change | None:
-        """Return what becomes of an alarm, None if nothing changes."""
+        """Return the transition of an alarm, None if nothing changes."""
         is_active, priority = watched.is_active, watched.priority
         if alarm is None:
             if not is_active or priority is None:
@@ -262,7 +262,7 @@ def _changed(alarm: Alarm, state: AlarmState, event: EventType | None, at: str, 
 
 
 def _raised(alarm: Alarm, watched: _Watched, at: str, **more: Any) -> Change:
-    """Have it call for somebody again: what was acknowledged before does not count."""
+    """Re-raise as unacknowledged and clear the acknowledgement."""
     priority = alarm.priority
     if watched.priority is not None and watched.priority.rank < priority.rank:
         priority = watched.priority

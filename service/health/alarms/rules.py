@@ -1,4 +1,4 @@
-"""Which checks of health are alarms: `alarms.toml`, as data."""
+"""The rules by which checks of health are alarms: `alarms.toml`, as data."""
 
 import tomllib
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ CAMERA = "camera"
 
 
 class Priority(StrEnum):
-    """How soon somebody must act, most urgent first."""
+    """Urgency of an operator's response, most urgent first."""
 
     URGENT = "urgent"
     """No stone is measured or stored."""

@@ -1,4 +1,4 @@
-"""What an archive for support is made of."""
+"""Inputs of an archive for support."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field

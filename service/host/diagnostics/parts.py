@@ -67,7 +67,7 @@ def _store(connection: sqlite3.Connection) -> Mapping[str, Any]:
 
 
 def calibrations(inputs: Inputs) -> Mapping[str, Any]:
-    """Return which calibrations there are, which was used when, and how well the cameras of the configured one fit."""
+    """List the calibrations, their activations, and the reprojection errors of the configured one's cameras."""
     files = CalibrationFiles(inputs.store_dir / "calibrations")
     rig = read_rig(inputs.calibration)
     return {
@@ -90,7 +90,7 @@ def host(inputs: Inputs) -> list[Mapping[str, Any]]:
 
 
 def folders(inputs: Inputs) -> Mapping[str, Any]:
-    """Return how many files there are in the folders of the store, and what was moved aside, but not their contents."""
+    """Count the files in the folders of the store and quote the notes on what was moved aside."""
     aside = inputs.store_dir / "aside"
     notes = {
         str(note.parent.name): note.read_text(errors="replace")[:10_000] for note in aside.glob("*/note.txt")

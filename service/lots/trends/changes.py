@@ -1,4 +1,4 @@
-"""What has changed since an entry of the diary: figures before and after it, and whether that is more than chance."""
+"""Changes since an entry of the diary: figures before and after it, and their significance."""
 
 import sqlite3
 from collections.abc import Iterator
@@ -97,7 +97,7 @@ class _Side:
 
 
 def changes(connection: sqlite3.Connection, now: str, hours: float, measured: MeasuredRange) -> Changes:
-    """Return what has changed since each entry of the last hours; sentences are for whoever knows the language."""
+    """Compare the figures before and after each entry of the last hours; `with_sentences` adds the sentences."""
     since = _moved(now, -timedelta(hours=hours))
     known = entries(connection, _moved(since, -MAX_SIDE), now, MAX_ENTRIES + 1)
     wanted = [entry for entry in known if entry.at >= since][:MAX_ENTRIES]

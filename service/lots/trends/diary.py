@@ -85,7 +85,7 @@ def note_entry(connection: sqlite3.Connection, new: DiaryRequest, who: str) -> D
     now = utc_now()
     at = new.at or now
     if at > rfc3339(datetime.now(UTC) + timedelta(seconds=CLOCKS_DIFFER_S)):
-        raise FutureEntryError(f"at: {at} has not come, it is {now}")
+        raise FutureEntryError(f"at: {at} is in the future, it is {now}")
     with transaction(connection):
         (number,) = connection.execute("SELECT coalesce(max(entry), 0) + 1 FROM diary").fetchone()
         noted = DiaryEntry(

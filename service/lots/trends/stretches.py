@@ -17,7 +17,7 @@ RECORDED = ("stones JOIN results USING (seq)", "json_extract(record, '$.recorded
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stretch:
-    """What fell within a time."""
+    """Stones that fell within a time."""
 
     n_stones: int
     n_timed: int  # of these, all but stones that were counted together: when each fell is not known
@@ -26,7 +26,7 @@ class Stretch:
 
 
 def stretch(connection: sqlite3.Connection, since: str, until: str, max_stones: int) -> Stretch:
-    """Return what fell from `since` to before `until`, with the measures of up to about `max_stones` of them.
+    """Return the stones from `since` to before `until`, with the measures of up to about `max_stones` of them.
 
     Of a replay, whose stones fell long ago: what had its result then.
     """
@@ -46,7 +46,7 @@ def stretch(connection: sqlite3.Connection, since: str, until: str, max_stones: 
 
 
 def times_of(connection: sqlite3.Connection, since: str, until: str) -> Values:
-    """Return when stones fell from `since` to before `until`, whatever became of them, in seconds since 1970, rising.
+    """Return the times of all stones from `since` to before `until`, of any outcome, in seconds since 1970, rising.
 
     To some tens of microseconds; of a replay when their results came. Stones that were counted together, at times that
     are not known, are left out.
@@ -61,7 +61,7 @@ def times_of(connection: sqlite3.Connection, since: str, until: str) -> Values:
 
 
 def _rows_and_time(connection: sqlite3.Connection) -> tuple[str, str]:
-    """Return what to select from; a store holds either what fell or a replay."""
+    """Return the table and the column of time to select from; a store holds either what fell or a replay."""
     newest = connection.execute(
         f"SELECT {IS_REPLAY} FROM sessions ORDER BY session DESC LIMIT 1"  # noqa: S608 - as above
     ).fetchone()

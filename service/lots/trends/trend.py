@@ -1,4 +1,4 @@
-"""How rate, size and shape of the stones went over the last hours."""
+"""Trend of rate, size and shape of the stones over the last hours."""
 
 import sqlite3
 from datetime import UTC, datetime, timedelta
@@ -78,7 +78,7 @@ def bucket_s_of(hours: float) -> int:
 
 
 def trend(connection: sqlite3.Connection, now: str, hours: float, measured: MeasuredRange) -> Trend:
-    """Return how things went over the last hours; buckets begin at whole multiples of their length, UTC."""
+    """Return the trend of rate, size and shape over the last hours; buckets begin at multiples of their length, UTC."""
     bucket_s = bucket_s_of(hours)
     end = datetime.fromisoformat(now)
     begin_s = (end - timedelta(hours=hours)).timestamp() // bucket_s * bucket_s

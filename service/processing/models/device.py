@@ -1,4 +1,4 @@
-"""What a network is fitted on."""
+"""Devices that a network is fitted on."""
 
 from enum import StrEnum
 

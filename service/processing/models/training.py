@@ -59,7 +59,7 @@ class TrainingPlan:
 def train_network(
     plan: TrainingPlan, out: Path, say: Callable[[str], None], *, n_jobs: int, device: Device = Device.AUTO
 ) -> dict[str, Any]:
-    """Write the ONNX file `out` and its description `out.json`, which is returned; tell `say` how it goes.
+    """Write the ONNX file `out` and its description `out.json`, which is returned; report progress to `say`.
 
     `n_jobs` processes render and compose.
 

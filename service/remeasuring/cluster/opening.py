@@ -1,4 +1,4 @@
-"""Open the cluster of an executor's address, without importing dask.distributed for who asks for none."""
+"""Open the cluster of an executor's address; dask.distributed is imported only then."""
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

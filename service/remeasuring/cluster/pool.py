@@ -81,7 +81,7 @@ async def connected_pool(address: str, context: WorkerContext) -> AsyncIterator[
 
 
 async def _watch(client: Client) -> None:
-    """Say so when no worker is left: everything waits for one."""
+    """Log when no worker is left: everything waits for one."""
     had_some = True
     while True:
         await asyncio.sleep(LOOK_S)
@@ -189,7 +189,7 @@ class ClusterPool:
             return self._contents[path]
 
     async def _answer(self, task: ClusterJob, contents: Mapping[str, Content]) -> Answer:
-        """Return what a worker has to say that has all contents."""
+        """Return a worker's answer to a task; contents that the worker lacks are sent, and the task submitted again."""
         while isinstance(answer := await self._submitted(task), Missing):
             for digest in answer.digests:
                 await self._send(answer.worker, contents[digest])

@@ -1,8 +1,8 @@
-"""What runs on a worker of the cluster: a bundle is measured by worker processes like the daemon's.
+"""Tasks on a worker of the cluster: a bundle is measured by worker processes like the daemon's.
 
-The process that dask starts measures nothing itself. A bundle that kills whoever measures it kills a process of the
-pool, which is replaced, and fails after the second time; everything else goes on. Whatever prevents that a bundle is
-measured here is returned, not raised, and told apart by its type.
+The process that dask starts measures nothing itself. A bundle that kills its process kills one of the pool, which is
+replaced, and fails after the second time; everything else goes on. The reason why a bundle is not measured here is
+returned, not raised, and told apart by its type.
 """
 
 import asyncio
@@ -158,7 +158,7 @@ def _room(worker: Worker) -> Path:
 
 
 def _trouble(wanted: Mapping[str, str]) -> str | None:
-    """Return why nothing can be measured here, or not with the same results; None if it can."""
+    """Return the reason why results here would differ or fail, None if there is none."""
     if multiprocessing.current_process().daemon:
         return "it runs under dask's nanny, which lets it start no processes: start it with --no-nanny"
     here = installed_versions()

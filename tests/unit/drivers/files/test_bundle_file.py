@@ -138,7 +138,7 @@ def test_foreign_files_are_named(tmp_path: Path) -> None:
         read_header(path)
     image = np.zeros((48, 64), np.uint8)
     tifffile.imwrite(path, image)
-    with pytest.raises(RecordingError, match="no bundle of ours"):
+    with pytest.raises(RecordingError, match="not a stonefall bundle"):
         read_header(path)
     tifffile.imwrite(path, image, description='{"format": "stonefall-bundle/9"}', metadata=None)
     with pytest.raises(RecordingError, match=f"format 'stonefall-bundle/9', not \"{FORMAT}\""):

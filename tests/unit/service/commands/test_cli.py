@@ -12,7 +12,7 @@ from service.api.version import API_VERSION
 from service.commands.cli import build_app
 from service.results.version import ALGORITHM_VERSION
 
-PYPROJECT = Path(__file__).parents[3] / "pyproject.toml"
+PYPROJECT = Path(__file__).parents[4] / "pyproject.toml"
 
 
 def test_version_names_package_interface_and_algorithm() -> None:

@@ -164,7 +164,7 @@ def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne
             {"loop_ms": 300.0},
             Ne107.MAINTENANCE_REQUIRED,
             True,
-            "loop: held up for 300 ms within the last minute: look at the load of the machine",
+            "loop: blocked for 300 ms within the last minute: look at the load of the machine",
         ),
         (
             {"clock_step_s": -3600.0},

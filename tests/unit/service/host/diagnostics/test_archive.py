@@ -179,4 +179,4 @@ def test_the_command_writes_it_while_the_daemon_is_down(config: Path, tmp_path: 
     assert SECRET not in "".join(files_of(out.read_bytes()).values())
     again = CliRunner().invoke(build_app(["diagnostics"]), command)
     assert again.exit_code == 1
-    assert "is there already" in str(again.exception)
+    assert "exists already" in str(again.exception)
