@@ -7,7 +7,6 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel, Field
 
 from service.api.context import Context
-from service.api.problems import problem_responses
 
 router = APIRouter(prefix="/accounting", tags=["accounting"])
 
@@ -27,7 +26,7 @@ class AccountingDocument(BaseModel):
     by_quality: dict[str, int] = Field(description="Measured triggers, by quality")
 
 
-@router.get("", response_model=AccountingDocument, responses=problem_responses())
+@router.get("", response_model=AccountingDocument)
 async def accounting(
     context: Context,
     session: Annotated[
@@ -38,7 +37,7 @@ async def accounting(
         ),
     ] = None,
 ) -> dict[str, Any]:
-    """Count triggers and their outcomes; every trigger is in exactly one of the four."""
+    """Count the triggers and their outcomes; every trigger is in exactly one of the four."""
     number = context.store.session if session == "current" else None if session is None else int(session)
     counts = await context.store.accounting(number)
     return {**asdict(counts), "is_balanced": counts.is_balanced, "session": number}

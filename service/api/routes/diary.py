@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from pipeline.frames import rfc3339
 from service.api.auth import Who, require
 from service.api.context import Context
-from service.api.problems import Problem, problem_responses
+from service.api.problems import Problem
 from service.api.routes.results import Time
 from service.api.routes.trends import KEEP_S, Hours
 from service.api.routes.windows import next_second
@@ -57,7 +57,6 @@ class DiaryPage(BaseModel):
     status_code=201,
     response_model=DiaryDocument,
     dependencies=OPERABLE,
-    responses=problem_responses(422),
 )
 @router.post(
     "/events",
@@ -65,7 +64,6 @@ class DiaryPage(BaseModel):
     status_code=201,
     response_model=DiaryDocument,
     dependencies=OPERABLE,
-    responses=problem_responses(422),
 )
 async def post_diary(context: Context, wanted: DiaryRequest, asking: Who) -> DiaryEntry:
     """Enter into the crusher's diary what was done; it is an event, `diary.noted`, and a mark on the trends.
@@ -79,24 +77,24 @@ async def post_diary(context: Context, wanted: DiaryRequest, asking: Who) -> Dia
         raise Problem(422, "invalid-request", f"body.{err}") from err
 
 
-@router.get("/diary", response_model=DiaryPage, dependencies=READABLE, responses=problem_responses())
+@router.get("/diary", response_model=DiaryPage, dependencies=READABLE)
 async def get_diary(
     context: Context,
     since: Annotated[Time | None, Query(description="Done at or after, RFC 3339")] = None,
     until: Annotated[Time | None, Query(description="Done before")] = None,
     limit: Annotated[int, Query(ge=1, le=1000, description="Entries of the answer, at most")] = 100,
 ) -> dict[str, list[DiaryEntry]]:
-    """Return the crusher's diary, newest first."""
+    """List the entries of the crusher's diary, newest first."""
     return {"items": await context.store.read(entries, since, until, limit)}
 
 
-@router.get("/diary/changes", response_model=Changes, dependencies=READABLE, responses=problem_responses())
+@router.get("/diary/changes", response_model=Changes, dependencies=READABLE)
 async def get_changes(
     context: Context,
     hours: Hours = 24.0,
     language: Annotated[Language, Query(description="Language of the sentences")] = Language.ENGLISH,
 ) -> Response:
-    """Return what has changed since each entry of the last hours: D50, FI, SI and stones a minute, before and after.
+    """List the changes since each diary entry of the last hours: D50, FI, SI and stones a minute, before and after.
 
     Each side reaches to the neighbouring entry, at most 12 h. Stones that fall soon after each other are alike, which
     the intervals allow for. Clock times in sentences are the host's.

@@ -121,10 +121,9 @@ class Standards(BaseModel):
     "",
     response_model=ProductsDocument,
     dependencies=[Depends(require(Scope.READ))],
-    responses=problem_responses(),
 )
 async def list_products(context: Context) -> dict[str, Any]:
-    """Return the newest version of all products."""
+    """List the products: the newest version of each."""
     return {"items": [_document(asdict(each)) for each in await context.store.read(products)]}
 
 
@@ -132,10 +131,9 @@ async def list_products(context: Context) -> dict[str, Any]:
     "/standards",
     response_model=Standards,
     dependencies=[Depends(require(Scope.READ))],
-    responses=problem_responses(),
 )
 async def standards() -> dict[str, Any]:
-    """Return the sieve sets and specifications that are known by name."""
+    """List the sieve sets and specifications that have a name."""
     return {
         "sieve_sets": [asdict(each) for each in known_standards().sieve_sets.values()],
         "specifications": specification_names(),
@@ -146,7 +144,7 @@ async def standards() -> dict[str, Any]:
     "/{product}",
     response_model=ProductVersion,
     dependencies=[Depends(require(Scope.CONFIGURE))],
-    responses=problem_responses(409, 412, 422),
+    responses=problem_responses(409, 412),
 )
 async def put_product(
     context: Context,
@@ -156,7 +154,7 @@ async def put_product(
     response: Response,
     if_match: IfMatch = None,
 ) -> dict[str, Any]:
-    """Define a product, or change it: a change is a new version, and lots keep theirs."""
+    """Define or change a product: a change is a new version, and lots keep theirs."""
     definition = definition_of(wanted.model_dump())
     yardstick_of(definition, Request())  # raises where it cannot be judged
     context.store.require_writable()
@@ -185,7 +183,7 @@ async def product(
     product: ProductName,
     version: Annotated[int | None, Query(ge=1, le=MAX_SEQ, description="The newest when absent")] = None,
 ) -> Any:
-    """Return a version of a product; its `ETag` is for `If-Match` of a change."""
+    """Get a product, its newest or another version; its `ETag` is for `If-Match` of a change."""
     found = existing(await context.store.read(find_product, product, version), "product", product)
     response.headers["ETag"] = _tag(found)
     return unchanged(request, _tag(found)) or _document(asdict(found))
