@@ -14,6 +14,7 @@ from service.api.openapi_parts import (
     shorten,
 )
 from service.api.problems import ProblemDocument
+from service.api.webhook_messages import MESSAGES, WEBHOOKS, details_schemas
 
 DESCRIPTION = """\
 The unit of a quantity ends its name: `_mm`, `_mm2`, `_mm3`, `_g`, `_px`, `_ms`. Positions are in the frame of the rig,
@@ -50,6 +51,7 @@ TAGS = {
     "alarms": "What needs somebody now, and what to do (ISA-18.2).",
     "events": "What happened beside results: lots, alarms, calibrations, states; a feed of its own.",
     "webhooks": "Endpoints of the plant that are told of events, and what came of it (Standard Webhooks).",
+    "messages": "What these endpoints receive.",
     "streams": "Both feeds as server-sent events.",
     "accounting": "The balance: triggers = measured + rejected + lost + in progress.",
     "audit": "Who changed what.",
@@ -72,7 +74,8 @@ def complete(document: dict[str, Any]) -> None:
     components |= {"headers": HEADERS, "responses": shared_answers()}
     schemas = components["schemas"]
     problem = ProblemDocument.model_json_schema(ref_template="#/components/schemas/{model}")
-    schemas |= problem.pop("$defs") | {"Problem": problem}
+    schemas |= problem.pop("$defs") | {"Problem": problem} | details_schemas() | MESSAGES
+    document["webhooks"] = WEBHOOKS
     for model, example in EXAMPLES.items():
         schemas[model.model_config.get("title") or model.__name__]["examples"] = [example]
     for path, operations in document["paths"].items():

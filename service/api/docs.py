@@ -26,7 +26,7 @@ def docs_page(document: dict[str, Any]) -> str:
     info = document["info"]
     by_tag: dict[str, list[str]] = {}
     components = document["components"]
-    for path, operations in document["paths"].items():
+    for path, operations in (document["paths"] | document["webhooks"]).items():
         for method, operation in operations.items():
             part = _operation(path, method.upper(), operation, components["parameters"])
             by_tag.setdefault(operation["tags"][0], []).append(part)
@@ -106,8 +106,8 @@ def _type(schema: dict[str, Any]) -> str:
     if "$ref" in schema:
         name = escape(_name_in(schema))
         return f'<a href="#{name}">{name}</a>'
-    if "anyOf" in schema:
-        return " or ".join(_type(part) for part in schema["anyOf"])
+    if alternatives := schema.get("anyOf", schema.get("oneOf")):
+        return " or ".join(_type(part) for part in alternatives)
     if isinstance(schema.get("type"), list):  # a scalar or null
         return f"{_type(schema | {'type': schema['type'][0]})} or null"
     if "enum" in schema or "const" in schema:
