@@ -100,6 +100,7 @@ def build_routes() -> FastAPI:
         redoc_url=None,
         redirect_slashes=False,
         generate_unique_id_function=lambda route: route.name,
+        responses={"default": {}},  # any other problem; without it FastAPI describes a 422 of its own
     )
     # each route of these names its scope: live and ready need no key, others another scope than `read`
     for module in (

@@ -1,12 +1,20 @@
-"""What the OpenAPI document says beyond the routes: servers, tags, files, keys, common problems, examples."""
+"""What the OpenAPI document says beyond the routes: servers, tags, summaries, headers, problems, examples."""
 
-from collections.abc import Iterator
+import re
 from http import HTTPStatus
 from typing import Any
 
 from service.api.examples import EXAMPLES
-from service.api.idempotency import HEADER, KEY
-from service.api.problems import ProblemDocument, problem_responses
+from service.api.idempotency import HEADER, KEY, REPLAYED
+from service.api.openapi_parts import (
+    HEADERS,
+    header_references,
+    shared_answer,
+    shared_answers,
+    shorten,
+)
+from service.api.problems import ProblemDocument
+from service.api.webhook_messages import DETAILS, MESSAGES, WEBHOOKS
 
 DESCRIPTION = """\
 The unit of a quantity ends its name: `_mm`, `_mm2`, `_mm3`, `_g`, `_px`, `_ms`. Positions are in the frame of the rig,
@@ -40,9 +48,10 @@ TAGS = {
     "diary": "What was done to the crusher, and what has changed since.",
     "laboratory": "Sievings of the laboratory, correlation studies, repeatability (ISO 5725-2).",
     "cameras": "State and latest frame of each camera.",
-    "alarms": "Alarms: conditions that need an operator, and the remedies (ISA-18.2).",
+    "alarms": "What needs somebody now, and what to do (ISA-18.2).",
     "events": "What happened beside results: lots, alarms, calibrations, states; a feed of its own.",
     "webhooks": "Endpoints of the plant that events are posted to, and the outcomes (Standard Webhooks).",
+    "messages": "What these endpoints receive.",
     "streams": "Both feeds as server-sent events.",
     "accounting": "The balance: triggers = measured + rejected + lost + in progress.",
     "audit": "Who changed what.",
@@ -53,11 +62,11 @@ BINARY = {"type": "string", "format": "binary"}
 KEY_PARAMETER = {
     "name": HEADER,
     "in": "header",
-    "required": False,
     "description": "Repeat a request with the same key and you get its first answer again, for 24 h: it is carried"
     " out once. A new request needs a new key, such as a UUID",
     "schema": {"type": "string", "pattern": f"^{KEY.pattern}$"},
 }
+
 
 FORMER = {
     "Activation": "ActivationDocument",
@@ -89,51 +98,57 @@ FORMER = {
 
 def complete(document: dict[str, Any]) -> None:
     """Add to the document of the routes what they do not say themselves."""
-    schemas = document["components"]["schemas"]
+    components = document["components"]
+    components |= {"headers": HEADERS, "responses": shared_answers()}
+    schemas = components["schemas"]
     for name, former in FORMER.items():
         schemas[former] = schemas.pop(name) | {"title": former}
     problem = ProblemDocument.model_json_schema(ref_template="#/components/schemas/{model}")
-    schemas |= problem.pop("$defs") | {"Problem": problem}
+    schemas |= problem.pop("$defs") | {"Problem": problem} | MESSAGES
+    schemas |= {name: schema for name, (schema, _) in DETAILS.items()}
+    document["webhooks"] = WEBHOOKS
     for model, example in EXAMPLES.items():
         title = getattr(model, "model_config", {}).get("title") or model.__name__
         schemas[FORMER.get(title, title)]["examples"] = [example]
-    for method, operation in _operations(document):
-        if method == "post" and "security" in operation:
-            operation.setdefault("parameters", []).append(KEY_PARAMETER)
-        _add_common_problems(method, operation)
-        for answer in operation["responses"].values():
-            for media_type, content in answer.get("content", {}).items():
-                if not content.get("schema"):
-                    content["schema"] = {"type": "object"} if media_type.endswith("json") else BINARY
+    for path, operations in document["paths"].items():
+        has_items = any(other.startswith(f"{path}/{{") for other in document["paths"])
+        for method, operation in operations.items():
+            operation["summary"] = _summary(operation["description"])
+            if method == "post" and "security" in operation:
+                operation.setdefault("parameters", []).append(KEY_PARAMETER)
+            _add_headers(operation, makes_item=method == "post" and has_items)
+            _add_shared_answers(operation, is_post=method == "post")
+            _add_schemas(operation)
     for schema in schemas.values():
         for member in schema.get("properties", {}).values():
             if "description" in member:
                 member["description"] = " ".join(member["description"].split())  # lines of a docstring
     _suit_generators(document)
+    shorten(document)
 
 
-def _suit_generators(part: Any) -> None:
-    """Give each integer its width, as Java and C# take 32 bits without one, and tuples the type of their members."""
-    if isinstance(part, dict):
-        if part.get("type") == "integer":
-            part["format"] = "int64"
-        if (name := str(part.get("$ref")).rpartition("/")[2]) in FORMER:
-            part["$ref"] = f"#/components/schemas/{FORMER[name]}"
-        if "prefixItems" in part:  # generators know lists, no tuples; members of ours are alike
-            part["items"] = part.pop("prefixItems")[0]
-        part = list(part.values())
-    if isinstance(part, list):
-        for inner in part:
-            _suit_generators(inner)
+def _summary(description: str) -> str:
+    """Return what a description says up to its first stop, colon, semicolon or comma."""
+    return re.split(r"[.;:,](?:\s|$)", description, maxsplit=1)[0].replace("`", "")
 
 
-def _operations(document: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    for operations in document["paths"].values():
-        yield from operations.items()
+def _add_headers(operation: dict[str, Any], *, makes_item: bool) -> None:
+    """Describe the headers of the answers that are no problems."""
+    answers = operation["responses"]
+    names = {each["name"] for each in operation.get("parameters", ())}
+    headers = {
+        "ETag": "304" in answers or "if-match" in names,
+        REPLAYED: HEADER in names,
+        "Location": "201" in answers and makes_item,
+    }
+    present = header_references(name for name, is_there in headers.items() if is_there)
+    for status, answer in answers.items():
+        if status < "300" and present:
+            answer["headers"] = present | answer.get("headers", {})
 
 
-def _add_common_problems(method: str, operation: dict[str, Any]) -> None:
-    """List the problems that any request of this kind can have, beside those that the route names."""
+def _add_shared_answers(operation: dict[str, Any], *, is_post: bool) -> None:
+    """Refer to 304 and the problems that the route names, and to those that any request of this kind can have."""
     statuses = {
         HTTPStatus.MISDIRECTED_REQUEST,
         HTTPStatus.INTERNAL_SERVER_ERROR,
@@ -149,12 +164,33 @@ def _add_common_problems(method: str, operation: dict[str, Any]) -> None:
             HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
             HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
         }
-    if method == "post" and "security" in operation:
+    if is_post and "security" in operation:
         statuses.add(HTTPStatus.CONFLICT)
-    responses = operation["responses"]
-    others = responses.pop("default", None)
-    for status, problem in problem_responses(*sorted(statuses)).items():
-        if status != "default":
-            responses.setdefault(str(int(status)), problem)
-    if others is not None:
-        responses["default"] = others
+    answers = operation["responses"]
+    named = {status for status in answers if status >= "300"}  # `default` among them
+    for status in sorted(named | {str(int(status)) for status in statuses}):
+        answers.pop(status, None)  # so that they stand in order
+        answers[status] = shared_answer(status)
+
+
+def _add_schemas(operation: dict[str, Any]) -> None:
+    """Describe content without a schema: JSON as an object, anything else as a file."""
+    for answer in operation["responses"].values():
+        for media_type, content in answer.get("content", {}).items():
+            if not content.get("schema"):
+                content["schema"] = {"type": "object"} if media_type.endswith("json") else BINARY
+
+
+def _suit_generators(part: Any) -> None:
+    """Give each integer its width, as Java and C# take 32 bits without one, and tuples the type of their members."""
+    if isinstance(part, dict):
+        if part.get("type") == "integer":
+            part["format"] = "int64"
+        if (name := str(part.get("$ref")).rpartition("/")[2]) in FORMER:
+            part["$ref"] = f"#/components/schemas/{FORMER[name]}"
+        if "prefixItems" in part:  # generators know lists, no tuples; members of ours are alike
+            part["items"] = part.pop("prefixItems")[0]
+        part = list(part.values())
+    if isinstance(part, list):
+        for inner in part:
+            _suit_generators(inner)

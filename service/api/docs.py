@@ -25,43 +25,61 @@ def docs_page(document: dict[str, Any]) -> str:
     """Return the page: every operation by tag, then every schema."""
     info = document["info"]
     by_tag: dict[str, list[str]] = {}
-    for path, operations in document["paths"].items():
+    components = document["components"]
+    for path, operations in (document["paths"] | document["webhooks"]).items():
         for method, operation in operations.items():
-            by_tag.setdefault(operation["tags"][0], []).append(_operation(path, method.upper(), operation))
+            part = _operation(path, method.upper(), operation, components["parameters"])
+            by_tag.setdefault(operation["tags"][0], []).append(part)
     described = {tag["name"]: tag["description"] for tag in document["tags"]}
     sections = "".join(
         f"<h2>{escape(tag)}</h2><p>{_prose(described.get(tag) or '')}</p>{''.join(parts)}"
         for tag, parts in by_tag.items()
     )
-    schemas = "".join(_schema(name, schema) for name, schema in document["components"]["schemas"].items())
+    answers = "".join(_shared_answer(name, answer) for name, answer in components["responses"].items())
+    schemas = "".join(_schema(name, schema) for name, schema in components["schemas"].items())
     return (
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(info["title"])}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{STYLE}</style>'
         f"<h1>{escape(info['title'])} <small>{escape(info['version'])}</small></h1>"
         f'<p>{escape(info["summary"])}. For programs: <a href="openapi.json">openapi.json</a> '
         f"(OpenAPI {escape(document['openapi'])}).</p><p>{_prose(info['description'])}</p>"
-        f"{sections}<h2>Schemas</h2>{schemas}</html>"
+        f"{sections}<h2>Shared answers</h2>{answers}<h2>Schemas</h2>{schemas}</html>"
     )
 
 
-def _operation(path: str, method: str, operation: dict[str, Any]) -> str:
+def _operation(path: str, method: str, operation: dict[str, Any], shared: dict[str, Any]) -> str:
     description = operation.get("description", "")
     parameters = [
         (item["name"], item["in"], _type(item["schema"]), item.get("description", ""))
-        for item in operation.get("parameters", [])
+        for each in operation.get("parameters", [])
+        for item in [shared[_name_in(each)] if "$ref" in each else each]
     ]
     if "requestBody" in operation:
         (content,) = operation["requestBody"]["content"].values()
         parameters.append(("body", "body", _type(content["schema"]), ""))
     answers = [
-        (status, ", ".join(_contents(answer)), answer.get("description", ""))
+        (status, _type(answer) if "$ref" in answer else ", ".join(_contents(answer)), _answer(answer))
         for status, answer in operation["responses"].items()
     ]
     scopes = ", ".join(scope for each in operation.get("security", ()) for scope in each["key"])
     key = f"Needs a key with the scope `{scopes}`." if scopes else "Needs no key."
     return (
-        f'<details><summary><b class="method {method}">{method}</b> <code>{escape(path)}</code></summary>'
+        f'<details><summary><b class="method {method}">{method}</b> <code>{escape(path)}</code>'
+        f" {escape(operation['summary'])}</summary>"
         f"<div><p>{_prose(description)}</p><p>{_prose(key)}</p>{_table(parameters)}{_table(answers)}</div></details>"
+    )
+
+
+def _answer(answer: dict[str, Any]) -> str:
+    headers = ", ".join(f"`{name}`" for name in answer.get("headers", ()))
+    description: str = answer.get("description", "")
+    return f"{description}; headers {headers}" if headers else description
+
+
+def _shared_answer(name: str, answer: dict[str, Any]) -> str:
+    return (
+        f'<details id="{escape(name)}"><summary><code>{escape(name)}</code></summary>'
+        f"<div><p>{_prose(_answer(answer))}</p></div></details>"
     )
 
 
@@ -86,10 +104,12 @@ def _contents(answer: dict[str, Any]) -> Iterator[str]:
 def _type(schema: dict[str, Any]) -> str:
     """Return a JSON schema in a few words of HTML."""
     if "$ref" in schema:
-        name = escape(schema["$ref"].rsplit("/", 1)[-1])
+        name = escape(_name_in(schema))
         return f'<a href="#{name}">{name}</a>'
-    if "anyOf" in schema:
-        return " or ".join(_type(part) for part in schema["anyOf"])
+    if alternatives := schema.get("anyOf", schema.get("oneOf")):
+        return " or ".join(_type(part) for part in alternatives)
+    if isinstance(schema.get("type"), list):  # a scalar or null
+        return f"{_type(schema | {'type': schema['type'][0]})} or null"
     if "enum" in schema or "const" in schema:
         return ", ".join(
             f"<code>{escape(str(value))}</code>" for value in schema.get("enum", [schema.get("const")])
@@ -106,6 +126,10 @@ def _type(schema: dict[str, Any]) -> str:
     if "default" in schema:
         words.append(f"(default {schema['default']})")
     return escape(" ".join(words))
+
+
+def _name_in(reference: dict[str, str]) -> str:
+    return reference["$ref"].rsplit("/", 1)[-1]
 
 
 def _prose(text: str) -> str:

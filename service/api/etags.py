@@ -17,7 +17,8 @@ from service.api.problems import Problem
 T = TypeVar("T")
 
 Responses = dict[int | str, dict[str, Any]]
-NOT_MODIFIED: Responses = {304: {"description": "Unchanged: the client has this version already"}}
+NOT_MODIFIED: Responses = {304: {}}
+TAGGED: Responses = {201: {"headers": {"ETag": {"$ref": "#/components/headers/ETag"}}}}
 
 IfMatch = Annotated[
     str | None,

@@ -4,14 +4,23 @@ Run `python -m service.api.openapi > deploy/openapi.json` after a change, and ra
 """
 
 import json
+import re
 import sys
 
 from service.api.app import build_routes
 
+MAX_LINE = 110
+
 
 def openapi_text() -> str:
-    """Return the document as it is committed."""
-    return json.dumps(build_routes().openapi(), indent=2, ensure_ascii=False) + "\n"
+    """Return the document as it is committed, with lists of words on one line."""
+    text = json.dumps(build_routes().openapi(), indent=2, ensure_ascii=False) + "\n"
+    return re.sub(r"\[\n[^][{}]+\]", _one_line, text)
+
+
+def _one_line(found: re.Match[str]) -> str:
+    line = re.sub(r"\n *", " ", found[0]).replace("[ ", "[").replace(" ]", "]")
+    return line if len(line) <= MAX_LINE else found[0]
 
 
 if __name__ == "__main__":

@@ -27,60 +27,82 @@ log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-TITLES = {
-    "alarm-conflict": "The alarm does not allow this now",
-    "busy": "More is asked for than can be made at a time",
-    "calibration-gone": "The calibration of this result is not kept",
-    "calibration-conflict": "The calibration does not allow this now",
-    "camera-unavailable": "The camera cannot do this now",
-    "cursor-ahead": "The cursor is ahead of the history",
-    "cursor-expired": "The cursor is older than the oldest result kept",
-    "files-removed": "The files of this result were removed",
-    "forbidden": "Not allowed",
-    "foreign-origin": "A page of another site asks for this",
-    "idempotency-key-reused": "The idempotency key was used for another request",
-    "internal-error": "Internal error of the service",
-    "content-too-large": "The request is too large",
-    "invalid-request": "The request is not valid",
-    "lot-conflict": "The lots do not allow this now",
-    "no-background": "The empty rig was not exposed yet",
-    "no-room": "Not enough disk space",
-    "not-acceptable": "No acceptable media type",
-    "not-disarmed": "The rig must be disarmed first",
-    "not-kept": "This file was not kept",
-    "not-measured": "The stone could not be measured again",
-    "not-ready": "Not ready to measure stones",
-    "nothing-to-study": "No lot was both sieved and measured",
-    "precondition-failed": "It is not the version that If-Match names",
-    "recording-exists": "A recording of this name exists",
-    "recording-running": "A recording is running",
-    "request-in-progress": "The first request with this key is still being carried out",
-    "store-damaged": "The store is damaged",
-    "store-unavailable": "The store cannot be read or written",
-    "too-few-runs": "The sample has too few runs to compare",
-    "too-many-attempts": "Too many wrong keys",
-    "too-many-keys": "Too many idempotency keys",
-    "too-many-consumers": "Too many consumers",
-    "too-many-products": "Too many products",
-    "too-many-sievings": "Too many sievings",
-    "too-many-connections": "Too many requests at a time",
-    "transition-conflict": "The acquisition cannot change to this state now",
-    "unauthorized": "A valid key is needed",
-    "unknown-alarm": "No such alarm",
-    "unknown-calibration": "No such calibration",
-    "unknown-camera": "No such camera",
-    "unknown-consumer": "No such consumer",
-    "unknown-host": "This service does not have the name that was asked for",
-    "unknown-lot": "No such lot",
-    "unknown-particle": "No such particle",
-    "unknown-product": "No such product",
-    "unknown-recording": "No such recording",
-    "unknown-sample": "No such sample",
-    "unknown-verification": "No such verification",
-    "unknown-webhook": "No such webhook",
-    "unsupported-media-type": "Not JSON",
+PROBLEMS: Mapping[int, Mapping[str, str]] = {
+    HTTPStatus.BAD_REQUEST: {"bad-request": "Bad Request"},
+    HTTPStatus.UNAUTHORIZED: {"unauthorized": "A valid key is needed"},
+    HTTPStatus.FORBIDDEN: {
+        "forbidden": "Not allowed",
+        "foreign-origin": "A page of another site asks for this",
+    },
+    HTTPStatus.NOT_FOUND: {
+        "not-kept": "This file was not kept",
+        "unknown-alarm": "No such alarm",
+        "unknown-calibration": "No such calibration",
+        "unknown-camera": "No such camera",
+        "unknown-consumer": "No such consumer",
+        "unknown-lot": "No such lot",
+        "unknown-particle": "No such particle",
+        "unknown-product": "No such product",
+        "unknown-recording": "No such recording",
+        "unknown-sample": "No such sample",
+        "unknown-verification": "No such verification",
+        "unknown-webhook": "No such webhook",
+    },
+    HTTPStatus.NOT_ACCEPTABLE: {"not-acceptable": "No acceptable media type"},
+    HTTPStatus.CONFLICT: {
+        "alarm-conflict": "The alarm does not allow this now",
+        "calibration-conflict": "The calibration does not allow this now",
+        "calibration-gone": "The calibration of this result is not kept",
+        "cursor-ahead": "The cursor is ahead of the history",
+        "lot-conflict": "The lots do not allow this now",
+        "no-background": "The empty rig was not exposed yet",
+        "not-disarmed": "The rig must be disarmed first",
+        "not-measured": "The stone could not be measured again",
+        "not-ordered": "Conflict",
+        "nothing-to-study": "No lot was both sieved and measured",
+        "recording-exists": "A recording of this name exists",
+        "recording-running": "A recording is running",
+        "request-in-progress": "The first request with this key is still being carried out",
+        "too-few-runs": "The sample has too few runs to compare",
+        "too-many-consumers": "Too many consumers",
+        "too-many-products": "Too many products",
+        "too-many-sievings": "Too many sievings",
+        "transition-conflict": "The acquisition cannot change to this state now",
+    },
+    HTTPStatus.GONE: {
+        "cursor-expired": "The cursor is older than the oldest result kept",
+        "files-removed": "The files of this result were removed",
+    },
+    HTTPStatus.PRECONDITION_FAILED: {"precondition-failed": "It is not the version that If-Match names"},
+    HTTPStatus.REQUEST_ENTITY_TOO_LARGE: {"content-too-large": "The request is too large"},
+    HTTPStatus.UNSUPPORTED_MEDIA_TYPE: {"unsupported-media-type": "Not JSON"},
+    HTTPStatus.MISDIRECTED_REQUEST: {
+        "unknown-host": "This service does not have the name that was asked for"
+    },
+    HTTPStatus.UNPROCESSABLE_ENTITY: {
+        "idempotency-key-reused": "The idempotency key was used for another request",
+        "invalid-request": "The request is not valid",
+    },
+    HTTPStatus.TOO_MANY_REQUESTS: {
+        "too-many-attempts": "Too many wrong keys",
+        "too-many-keys": "Too many idempotency keys",
+    },
+    HTTPStatus.INTERNAL_SERVER_ERROR: {
+        "internal-error": "Internal error of the service",
+        "store-damaged": "The store is damaged",
+    },
+    HTTPStatus.SERVICE_UNAVAILABLE: {
+        "busy": "More is asked for than can be made at a time",
+        "camera-unavailable": "The camera cannot do this now",
+        "not-ready": "Not ready to measure stones",
+        "store-unavailable": "The store cannot be read or written",
+        "too-many-connections": "Too many requests at a time",
+    },
+    HTTPStatus.INSUFFICIENT_STORAGE: {"no-room": "Not enough disk space"},
 }
-"""`title` by the last part of `type`; problems that are not here are named by the phrase of their status."""
+"""Problems by status: the last part of `type`, and the title."""
+TITLES = {slug: title for titles in PROBLEMS.values() for slug, title in titles.items()}
+"""Titles of all problems; others are named by the phrase of their status."""
 
 
 WAIT = frozenset({HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE})
@@ -195,13 +217,8 @@ def existing(thing: T | None, kind: str, name: str) -> T:
 
 
 def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """Return the OpenAPI description of the problems with these statuses, and of any other."""
-    schema = {"$ref": "#/components/schemas/Problem"}
-    content = {"application/problem+json": {"schema": schema}}
-    return {
-        **{status: {"description": HTTPStatus(status).phrase, "content": content} for status in statuses},
-        "default": {"description": "Any other error", "content": content},
-    }
+    """Return the statuses of problems for FastAPI; `openapi_parts` describes each once for all routes."""
+    return {status: {} for status in statuses}
 
 
 async def _handle_http(request: Request, error: Exception) -> JSONResponse:

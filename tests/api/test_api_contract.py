@@ -14,6 +14,8 @@ from support.served import served_by
 
 from service.api import pace
 from service.api.openapi import openapi_text
+from service.api.openapi_parts import shared_answer
+from service.api.problems import PROBLEMS
 from service.api.version import BASE
 from service.base.status import CheckStatus, HealthCheck
 from service.health.alarms.alarms import Alarms
@@ -68,7 +70,10 @@ def event_of(schema: str) -> dict[str, Any]:
 
 
 def strict_document(base_url: str) -> str:
-    """Return the document as it is served at `base_url`; a problem must be named with its status, not as any other."""
+    """Return the document as it is served at `base_url`, with all that it describes of an answer required.
+
+    A problem must be named with its status, not as any other, and have a type of this status.
+    """
     document = json.loads(openapi_text())
     document["servers"] = [{"url": base_url}]
     for path, schema in STREAMED.items():
@@ -78,8 +83,21 @@ def strict_document(base_url: str) -> str:
         for operation in operations.values():
             operation["responses"].pop("default", None)
             # it would take most POSTs for repetitions of another one
-            parameters = operation.get("parameters", [])
-            operation["parameters"] = [each for each in parameters if each["name"] != "Idempotency-Key"]
+            operation["parameters"] = [
+                each
+                for each in operation.get("parameters", [])
+                if each != {"$ref": "#/components/parameters/Idempotency-Key"}
+            ]
+    components = document["components"]
+    for status, titles in PROBLEMS.items():
+        answer = components["responses"][shared_answer(str(int(status)))["$ref"].split("/")[-1]]
+        types = {"properties": {"type": {"enum": [f"urn:stonefall:problem:{slug}" for slug in titles]}}}
+        content = answer["content"]["application/problem+json"]
+        content["schema"] = {"allOf": [content["schema"], types]}
+        if status in (409, 412):  # some problems of this status have it
+            del answer["headers"]
+    for name in ("ETag", "Location", "Retry-After"):
+        components["headers"][name]["required"] = True
     return json.dumps(document)
 
 

@@ -13,7 +13,7 @@ import pytest
 from support.outcomes import add, measured
 from support.rest import FakeControl, app_of, assert_problem, client_of
 
-from service.api.problems import TITLES
+from service.api.problems import PROBLEMS, TITLES
 from service.api.settings import ApiKey, ApiSettings, Scope
 from service.base.status import Health
 from service.store import Store
@@ -24,7 +24,9 @@ ARM = {"state": "armed"}
 
 def test_each_kind_has_a_title_and_stands_in_the_guide() -> None:
     sources = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "service" / "api").rglob("*.py"))
-    kinds = set(re.findall(r'Problem\(\s*\d{3},\s*"([a-z-]+)"', sources))
+    raised = re.findall(r'Problem\(\s*(\d{3}),\s*"([a-z-]+)"', sources)
+    assert [(status, kind) for status, kind in raised if kind not in PROBLEMS[int(status)]] == []
+    kinds = {kind for _, kind in raised}
     kinds |= {f"unknown-{kind}" for kind in re.findall(r'existing\([^"]+"([a-z]+)", ', sources)}
     assert {"cursor-ahead", "unknown-lot", "unknown-sample"} <= kinds <= set(TITLES)
     guide = (ROOT / "service" / "api" / "README.md").read_text(encoding="utf-8")

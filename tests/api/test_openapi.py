@@ -13,6 +13,8 @@ from pydantic import BaseModel
 
 from service.api.examples import EXAMPLES
 from service.api.openapi import openapi_text
+from service.api.openapi_parts import shared_answer
+from service.api.problems import PROBLEMS
 from service.api.settings import ApiSettings
 from service.results.fields import ALWAYS
 
@@ -35,14 +37,13 @@ async def test_it_is_served(client: httpx.AsyncClient) -> None:
 def test_every_reference_leads_somewhere_and_every_error_is_a_problem() -> None:
     text = openapi_text()
     document = json.loads(text)
-    for name in re.findall(r'"#/components/schemas/(\w+)"', text):
-        assert name in document["components"]["schemas"]
-    for operations in document["paths"].values():
-        for operation in operations.values():
-            for status, answer in operation["responses"].items():
-                if status == "default" or status >= "4":
-                    assert list(answer["content"]) == ["application/problem+json"]
-            assert operation["description"]
+    for kind, name in re.findall(r'"#/components/(\w+)/([^"]+)"', text):
+        assert name in document["components"][kind]
+    for _, _, operation in operations():
+        for status, answer in operation["responses"].items():
+            if status == "default" or status >= "4":
+                assert list(answer["content"]) == ["application/problem+json"]
+        assert operation["description"]
     result = document["components"]["schemas"]["Result"]
     assert set(result["required"]) == set(ALWAYS)  # further ones may be left out, by `fields` alone
 
@@ -57,9 +58,57 @@ async def test_the_page_needs_nothing_else(client: httpx.AsyncClient) -> None:
 
 
 def operations() -> Iterator[tuple[str, str, dict[str, Any]]]:
-    for path, described in json.loads(openapi_text())["paths"].items():
+    """Yield each operation, with its parameters and answers instead of references to them."""
+    document = json.loads(openapi_text())
+
+    def resolved(part: dict[str, Any]) -> dict[str, Any]:
+        _, _, kind, name = part["$ref"].split("/") if "$ref" in part else ("", "", "", "")
+        return dict(document["components"][kind][name]) if name else part
+
+    for path, described in document["paths"].items():
         for method, operation in described.items():
-            yield path, method, operation
+            parameters = [resolved(each) for each in operation.get("parameters", ())]
+            answers = {status: resolved(each) for status, each in operation["responses"].items()}
+            yield path, method, operation | {"parameters": parameters, "responses": answers}
+
+
+def test_what_operations_share_is_described_once() -> None:
+    document = json.loads(openapi_text())
+    inline = [
+        answer
+        for described in document["paths"].values()
+        for operation in described.values()
+        for status, answer in operation["responses"].items()
+        if status >= "3" and list(answer) != ["$ref"]
+    ]
+    assert inline == []
+    assert len(COMMITTED.read_text(encoding="utf-8").splitlines()) < 15_000
+    for status, titles in PROBLEMS.items():
+        answer = document["components"]["responses"][shared_answer(str(int(status)))["$ref"].split("/")[-1]]
+        assert set(re.findall(r"`([a-z-]+)` \(", answer["description"])) == set(titles)
+
+
+def test_each_operation_has_a_summary_for_people() -> None:
+    summaries = {operation["operationId"]: operation["summary"] for _, _, operation in operations()}
+    assert summaries["alarms"] == "List the alarms"
+    assert summaries["post_lot"] == "Open a lot"
+    for summary in summaries.values():
+        assert re.fullmatch(r"(?!Return|Post|Put)[A-Z][a-z]+ .{2,64}", summary), summary
+
+
+def test_headers_of_answers_are_described() -> None:
+    headers = {
+        (method, path.removeprefix("/api/v1"), status): set(answer.get("headers", ()))
+        for path, method, operation in operations()
+        for status, answer in operation["responses"].items()
+    }
+    assert headers["post", "/lots", "201"] == {"ETag", "Location", "Idempotent-Replayed"}
+    assert headers["post", "/diary", "201"] == {"Idempotent-Replayed"}
+    assert headers["put", "/products/{product}", "200"] == headers["get", "/lots/{lot}", "304"] == {"ETag"}
+    assert headers["get", "/results", "200"] == set()
+    assert all(
+        each == {"Retry-After"} for (_, _, status), each in headers.items() if status in ("429", "503")
+    )
 
 
 def test_everything_has_a_description() -> None:
@@ -121,6 +170,11 @@ def test_the_guide_names_each_resource() -> None:
     assert {each for each in resources if f"`{each}`" not in table and f"`{each}/{{" not in table} == set()
 
 
+def types_of(schema: dict[str, Any]) -> list[str]:
+    kind = schema.get("type", [])
+    return kind if isinstance(kind, list) else [kind]
+
+
 def schemas(part: Any) -> Iterator[dict[str, Any]]:
     """Yield each object of the document: schemas are among them."""
     if isinstance(part, dict):
@@ -136,9 +190,9 @@ def test_generators_of_clients_can_write_all_of_it() -> None:
         parts = [each for each in schema.get("anyOf", ()) if each.get("type") != "null"]
         if len(parts) > 1:  # its default becomes a name, a list without a name no class
             assert "default" not in schema and "array" not in {each.get("type") for each in parts}, schema
-        if schema.get("type") == "integer":  # 32 bits
+        if "integer" in types_of(schema):  # 32 bits
             assert schema["format"] == "int64", schema
-        if schema.get("type") == "boolean":  # an enumeration of texts
+        if "boolean" in types_of(schema):  # an enumeration of texts
             assert "const" not in schema and "enum" not in schema, schema
     for path, _, operation in operations():
         for parameter in operation.get("parameters", ()):  # a union becomes an object
@@ -156,7 +210,7 @@ def test_numbers_that_are_asked_for_are_bounded() -> None:
         asked = [operation.get("parameters", []), operation.get("requestBody", {})]
         named = re.findall(r"#/components/schemas/(\w+)", json.dumps(asked))
         asked += [document["components"]["schemas"][name] for name in named]
-        numbers = [each for each in schemas(asked) if each.get("type") == "integer"]
+        numbers = [each for each in schemas(asked) if "integer" in types_of(each)]
         assert all("maximum" in each for each in numbers), (method, path, numbers)
         n_numbers += len(numbers)
     assert n_numbers > 20
@@ -197,8 +251,7 @@ def test_whatever_a_client_sends_has_a_bound() -> None:
             "array": "maxItems" in schema,
             "object": "properties" in schema or "maxProperties" in schema,
         }
-        if not bounds.get(schema.get("type", ""), True):
-            unbounded.append(where)
+        unbounded.extend(where for kind in types_of(schema) if not bounds.get(kind, True))
         for name, each in schema.get("properties", {}).items():
             look(each, f"{where}.{name}")
         for each in (schema.get("items"), schema.get("additionalProperties")):

@@ -25,6 +25,7 @@ from pipeline.views.quality import ViewsParameters
 from service.api import app
 from service.api.key_ring import KeyRing
 from service.api.metrics import result_delays
+from service.api.problems import PROBLEMS, TITLES
 from service.api.reader_process import Reading
 from service.api.settings import ApiSettings
 from service.base.status import (
@@ -221,6 +222,7 @@ def assert_problem(answer: httpx.Response, status: int, slug: str) -> None:
     assert answer.headers["Content-Type"] == "application/problem+json"
     assert (answer.status_code, problem["status"]) == (status, status)
     assert problem["type"] == f"urn:stonefall:problem:{slug}"
+    assert slug not in TITLES or slug in PROBLEMS[status]  # as `openapi.json` says
     assert problem["instance"] == answer.request.url.path
     assert problem["request_id"] == answer.headers["X-Request-Id"]
     assert "Retry-After" in answer.headers or status not in (429, 503)

@@ -6,7 +6,6 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from service.api.context import Context
-from service.api.problems import problem_responses
 from service.base.schema import adds_to
 from service.store.accounting import Accounting
 
@@ -23,7 +22,7 @@ class AccountingDocument(Accounting):
     """Session (run of the daemon) that is counted; null: all."""
 
 
-@router.get("", responses=problem_responses())
+@router.get("")
 async def accounting(
     context: Context,
     session: Annotated[
@@ -34,6 +33,6 @@ async def accounting(
         ),
     ] = None,
 ) -> AccountingDocument:
-    """Count triggers and their outcomes; every trigger is in exactly one of the four."""
+    """Count the triggers and their outcomes; every trigger is in exactly one of the four."""
     number = context.store.session if session == "current" else None if session is None else int(session)
     return AccountingDocument(**asdict(await context.store.accounting(number)), session=number)

@@ -28,10 +28,9 @@ class AcquisitionRequest(BaseModel):
     "",
     response_model=Acquisition,
     dependencies=[Depends(require(Scope.READ))],
-    responses=problem_responses(),
 )
 async def acquisition(context: Context) -> AcquisitionStatus:
-    """Return the state of the acquisition, and the reason if no stones are being measured."""
+    """Get the state of the rig: are stones being measured, and if not, why."""
     return context.control.acquisition_status()
 
 
@@ -42,7 +41,7 @@ async def acquisition(context: Context) -> AcquisitionStatus:
     responses=problem_responses(409),
 )
 async def set_acquisition(context: Context, wanted: AcquisitionRequest, asking: Who) -> AcquisitionStatus:
-    """Arm or disarm. Repeating a request changes nothing; 409 when the current state forbids it."""
+    """Arm or disarm the rig. Repeating a request changes nothing; 409 when the current state forbids it."""
     before = context.control.acquisition_status().state
     state = await context.control.set_acquisition(wanted.state)
     await context.store.note_change(

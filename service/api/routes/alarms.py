@@ -63,9 +63,9 @@ class ShelveRequest(BaseModel):
     reason: Annotated[str, Field(min_length=1, max_length=2000, description="Why it can wait")]
 
 
-@router.get("", response_model=AlarmsDocument, dependencies=READABLE, responses=problem_responses())
+@router.get("", response_model=AlarmsDocument, dependencies=READABLE)
 async def alarms(context: Context, language: Words = Language.ENGLISH) -> dict[str, Any]:
-    """Return the alarms that have not ended, each with its cause and what to do."""
+    """List the alarms: those that have not ended, each with its cause and what to do."""
     found, rules = context.control.alarms.list(), context.control.alarms.rules
     return {
         "items": [_document(alarm, rules, language) for alarm in found.announced],
@@ -74,7 +74,7 @@ async def alarms(context: Context, language: Words = Language.ENGLISH) -> dict[s
     }
 
 
-@router.get("/history", response_model=AlarmHistory, dependencies=READABLE, responses=problem_responses())
+@router.get("/history", response_model=AlarmHistory, dependencies=READABLE)
 async def alarm_history(
     context: Context,
     check: Annotated[str | None, Query(max_length=100, description="Of this check alone")] = None,
@@ -82,7 +82,7 @@ async def alarm_history(
     limit: Annotated[int, Query(ge=1, le=1000, description="Alarms of a page, at most")] = 100,
     language: Words = Language.ENGLISH,
 ) -> dict[str, Any]:
-    """Return all alarms, those that have not ended among them, newest first."""
+    """List the history of alarms, newest first; those that have not ended are in it."""
     found = await context.store.read(history, check, before, limit + 1)
     rules = context.control.alarms.rules
     return {
@@ -100,7 +100,7 @@ async def alarm_history(
 async def acknowledge_alarm(
     context: Context, alarm: Number, asking: Who, language: Words = Language.ENGLISH
 ) -> dict[str, Any]:
-    """Take note of an alarm; one whose cause is gone ends by that. Repeating it changes nothing.
+    """Acknowledge an alarm; one whose cause is gone ends by that. Repeating it changes nothing.
 
     409 `alarm-conflict` for one that is shelved or suppressed, 404 for one that has ended.
     """
@@ -116,7 +116,7 @@ async def acknowledge_alarm(
 async def shelve_alarm(
     context: Context, alarm: Number, wanted: ShelveRequest, asking: Who, language: Words = Language.ENGLISH
 ) -> dict[str, Any]:
-    """Put an alarm aside for a time, a day at most; if its cause is there afterwards it is raised again."""
+    """Shelve an alarm: put it aside for a time, a day at most; if its cause is there afterwards it is raised again."""
     shelved = await context.control.alarms.shelve(alarm, wanted.minutes, asking, wanted.reason)
     return _found(context, alarm, shelved, language)
 
@@ -130,7 +130,7 @@ async def shelve_alarm(
 async def unshelve_alarm(
     context: Context, alarm: Number, asking: Who, language: Words = Language.ENGLISH
 ) -> dict[str, Any]:
-    """Take an alarm from the shelf before its time; 409 `alarm-conflict` for one that is not shelved."""
+    """Unshelve an alarm before its time; 409 `alarm-conflict` for one that is not shelved."""
     return _found(context, alarm, await context.control.alarms.unshelve(alarm, asking), language)
 
 

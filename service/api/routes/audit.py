@@ -9,7 +9,6 @@ from pydantic import BaseModel, Field
 
 from service.api.context import ApiContext, Context
 from service.api.feeds import MAX_SEQ
-from service.api.problems import problem_responses
 from service.store import read
 from service.store.audit import AuditEntry, csv_page, entries
 
@@ -28,24 +27,24 @@ class AuditPage(BaseModel):
     items: list[AuditEntry] = Field(description="By rising `entry`")
 
 
-@router.get("/audit", responses=problem_responses())
+@router.get("/audit")
 async def audit(
     context: Context,
     subject: Subject = None,
     after: After = 0,
     limit: Annotated[int, Query(ge=1, le=1000, description="Entries of a page, at most")] = 100,
 ) -> AuditPage:
-    """Return the audit trail, oldest first: every write over REST but the cursors of consumers, with its author."""
+    """List the audit: who changed what, oldest first. It has every write over REST but the cursors of consumers."""
     return AuditPage(items=await context.store.read(entries, subject, after, limit))
 
 
 @router.get(
     "/audit.csv",
     response_class=StreamingResponse,
-    responses={200: {"content": {"text/csv": {}}}, **problem_responses()},
+    responses={200: {"content": {"text/csv": {}}}},
 )
 async def audit_csv(context: Context, subject: Subject = None, after: After = 0) -> StreamingResponse:
-    """Return all entries as CSV (RFC 4180), oldest first, `before` and `after` as JSON."""
+    """Download the audit as CSV (RFC 4180): oldest first, `before` and `after` as JSON."""
     first = await _page(context, subject, after)
     return StreamingResponse(
         _pages(context, subject, first),

@@ -39,10 +39,9 @@ CalibrationName = Annotated[str, Path(pattern=r"^[0-9]{4,9}$", description="`id`
 @router.get(
     "",
     dependencies=[Depends(require(Scope.READ))],
-    responses=problem_responses(),
 )
 async def calibrations(context: Context) -> Calibrations:
-    """Return all calibrations, newest first, and which one is in use."""
+    """List the calibrations, newest first, and the one in use."""
     known = context.control.calibrations
     return Calibrations(
         active=known.activated,
@@ -60,7 +59,7 @@ async def calibrations(context: Context) -> Calibrations:
 async def start_calibration(
     context: Context, wanted: CalibrationRequest, response: Response, asking: Who
 ) -> CalibrationSummary:
-    """Open a calibration, which collects drops. 409 while another calibration or verification is open.
+    """Open a calibration: it collects drops. 409 while another calibration or verification is open.
 
     409 also when the rig cannot see drops (`held`, `disarming`, `stopping`). On live cameras everything that falls has
     the kind `ball` while a calibration is open, except with method `stones`: it is measured, but does not count as a
@@ -79,7 +78,7 @@ async def start_calibration(
     responses=problem_responses(404),
 )
 async def calibration(context: Context, calibration: CalibrationName) -> CalibrationDocument:
-    """Return one calibration: its drops, their coverage and residuals, and its report."""
+    """Get a calibration: its drops, their coverage and residuals, and its report."""
     details = existing(await context.control.calibrations.find(calibration), "calibration", calibration)
     return CalibrationDocument(
         **asdict(_summary(context, details.record)),
@@ -97,7 +96,7 @@ async def calibration(context: Context, calibration: CalibrationName) -> Calibra
     responses={200: {"content": {"application/json": {}}}, **problem_responses(404)},
 )
 async def calibration_rig(context: Context, calibration: CalibrationName) -> FileResponse:
-    """Return the rig file of a calibration, with its checksum; 404 before it is solved."""
+    """Download the rig file of a calibration, with its checksum; 404 before it is solved."""
     path = context.control.calibrations.rig_path(calibration)
     if path is None:
         raise Problem(404, "unknown-calibration", f"there is no calibration {calibration} with a rig")
@@ -139,20 +138,22 @@ _add_action(
 _add_action(
     CalibrationAction.ACCEPT,
     Scope.CONFIGURE,
-    "Make a solution a version, which can be activated. 409 when its report forbids its use.",
+    "Accept a calibration: its solution is a version, which can be activated. 409 when its report forbids its use.",
 )
 _add_action(
     CalibrationAction.REJECT,
     Scope.OPERATE,
-    "Close a solved calibration without using it. Its record is kept.",
+    "Reject a calibration: close a solved one without using it. Its record is kept.",
 )
 _add_action(
-    CalibrationAction.CANCEL, Scope.OPERATE, "Close an open calibration in any state. Its record is kept."
+    CalibrationAction.CANCEL,
+    Scope.OPERATE,
+    "Cancel a calibration: close an open one in any state. Its record is kept.",
 )
 _add_action(
     CalibrationAction.ACTIVATE,
     Scope.CONFIGURE,
-    "Measure with an accepted calibration from the next stone on, without a pause. Activate an older one to roll back.",
+    "Activate a calibration: measure with it from the next stone on, without a pause. An older one rolls back.",
 )
 
 

@@ -55,18 +55,18 @@ class IdentifiedCamera(BaseModel):
     address: str | None = Field(description="IPv4 address that it answers at; null: it has none")
 
 
-@router.get("", response_model=Cameras, responses=problem_responses())
+@router.get("", response_model=Cameras)
 async def cameras(context: Context) -> dict[str, Any]:
-    """Return state and counters of all cameras."""
+    """List the cameras, with their state and counters."""
     return {"items": context.control.cameras()}
 
 
 @router.get(
     "/contact-sheet.jpg",
     response_class=Response,
-    responses={200: {"content": {"image/jpeg": {}}}, **problem_responses()},
-    description=f"Return the latest frames of all cameras as one picture: {SHEET_COLUMNS} a row in the order of"
-    f" `/cameras`, each {SHEET_TILE_PX} px wide, grey before its first frame. A few seconds old at most.",
+    responses={200: {"content": {"image/jpeg": {}}}},
+    description=f"Get the contact sheet: the latest frames of all cameras as one picture, {SHEET_COLUMNS} a row in the"
+    f" order of `/cameras`, each {SHEET_TILE_PX} px wide, grey before its first frame. A few seconds old at most.",
 )
 async def contact_sheet(context: Context) -> Response:
     """Return the latest frames of all cameras as one picture, made once for all who ask at about the same time."""
@@ -83,7 +83,7 @@ async def contact_sheet(context: Context) -> Response:
 
 @router.get("/{camera}", response_model=Camera, responses=problem_responses(404))
 async def camera_status(context: Context, camera: CameraName) -> CameraStatus:
-    """Return state and counters of one camera."""
+    """Get the state and counters of a camera."""
     return _status_of(context, camera)
 
 
@@ -93,7 +93,7 @@ async def camera_status(context: Context, camera: CameraName) -> CameraStatus:
     responses={200: {"content": {"image/png": {}}}, **problem_responses(404)},
 )
 async def snapshot(context: Context, camera: CameraName) -> Response:
-    """Return the latest frame of the camera; 404 `not-kept` before the first."""
+    """Get the latest frame of a camera; 404 `not-kept` before the first."""
     image = context.control.latest_image(_status_of(context, camera).id)
     if image is None:
         raise Problem(404, "not-kept", f"camera {camera} has delivered no frame yet")
@@ -104,12 +104,12 @@ async def snapshot(context: Context, camera: CameraName) -> Response:
 @acting.post(
     "/{camera}/identify",
     response_model=IdentifiedCamera,
-    responses=problem_responses(404, 409, 503),
+    responses=problem_responses(404, 409),
 )
 async def identify_camera(
     context: Context, camera: CameraName, wanted: IdentifyRequest, asking: Who
 ) -> dict[str, Any]:
-    """Let the lamp of a camera blink, so that a person sees which one it is; one before it stops. 409 unless disarmed.
+    """Blink the lamp of a camera: a person sees which one it is; one before it stops. 409 unless disarmed.
 
     The lamp is the status lamp (`DeviceIndicatorMode`), of a camera that has no switch for it what hangs on the line
     of its strobe. 503 `camera-unavailable` when it does not answer, is another one than configured, or has no lamp.

@@ -7,7 +7,6 @@ from pydantic import Field
 
 from service.api.auth import require
 from service.api.context import Context
-from service.api.problems import problem_responses
 from service.api.settings import Scope
 from service.base.redaction import redacted
 from service.base.status import ConfigurationState
@@ -28,10 +27,9 @@ class ConfigurationDocument(ConfigurationState):
     "",
     response_model=ConfigurationDocument,
     dependencies=[Depends(require(Scope.CONFIGURE))],
-    responses=problem_responses(),
 )
 async def configuration(context: Context) -> dict[str, Any]:
-    """Return the settings that the daemon works with: of its start, or of the last reload (SIGHUP).
+    """Get the settings that the daemon works with: of its start, or of the last reload (SIGHUP).
 
     It names paths, addresses and devices of the plant, which readers of results need not know: scope `configure`.
     """

@@ -53,11 +53,9 @@ class Cursor(BaseModel):
     after: int = Field(ge=0, le=MAX_SEQ, strict=True, description="`next_after` of the last page that it has")
 
 
-@router.get(
-    "", response_model=Consumers, dependencies=[Depends(require(Scope.READ))], responses=problem_responses()
-)
+@router.get("", response_model=Consumers, dependencies=[Depends(require(Scope.READ))])
 async def list_consumers(context: Context) -> dict[str, Any]:
-    """Return all consumers."""
+    """List the consumers."""
     return {"items": [asdict(consumer) for consumer in await context.store.read(consumers)]}
 
 
@@ -68,7 +66,7 @@ async def list_consumers(context: Context) -> dict[str, Any]:
     responses={**NOT_MODIFIED, **problem_responses(404)},
 )
 async def parked_cursor(context: Context, request: Request, response: Response, name: ConsumerName) -> Any:
-    """Return the place of a consumer; its `ETag` is for `If-Match` where two clients share the name."""
+    """Get the cursor of a consumer; its `ETag` is for `If-Match` where two clients share the name."""
     found = existing(await context.store.read(_find, name), "consumer", repr(name))
     response.headers["ETag"] = _tag(found)
     return unchanged(request, _tag(found)) or asdict(found)
@@ -83,7 +81,7 @@ async def parked_cursor(context: Context, request: Request, response: Response, 
 async def park_cursor(
     context: Context, response: Response, name: ConsumerName, cursor: Cursor, if_match: IfMatch = None
 ) -> dict[str, Any]:
-    """Park the place of a consumer, which this makes known; results after it are kept for longer.
+    """Park the cursor of a consumer, which this makes known; results after it are kept for longer.
 
     409 `cursor-ahead` and 410 `cursor-expired` as at `/results`; 409 `too-many-consumers`. 412 with `If-Match` when
     another client of this name has parked meanwhile: read the cursor, and go on from where that one is.

@@ -59,13 +59,11 @@ async def curve_request_of(
 Drawing = Annotated[CurveRequest, Depends(curve_request_of)]
 
 
-@router.get(
-    "/lots/{lot}/curve.svg", response_class=Response, responses={**SVG, **problem_responses(404, 422)}
-)
+@router.get("/lots/{lot}/curve.svg", response_class=Response, responses={**SVG, **problem_responses(404)})
 async def lot_curve(
     context: Context, asked: HttpRequest, lot: LotName, wanted: Drawing, choosing: Choosing
 ) -> Response:
-    """Return the gradation curve of a lot as the report draws it, with its limits, interval and verdicts.
+    """Draw the gradation curve of a lot: as in the report, with its limits, interval and verdicts.
 
     A page sets its colours by the CSS variables `--sf-ink`, `--sf-paper`, `--sf-curve` ...; it says in words what it
     shows.
@@ -75,7 +73,7 @@ async def lot_curve(
 
 
 @router.get(
-    "/windows/current/curve.svg", response_class=Response, responses={**SVG, **problem_responses(404, 422)}
+    "/windows/current/curve.svg", response_class=Response, responses={**SVG, **problem_responses(404)}
 )
 async def current_curve(
     context: Context,
@@ -84,7 +82,7 @@ async def current_curve(
     minutes: Minutes = 60.0,
     product: ProductId = None,
 ) -> Response:
-    """Return the gradation curve of the stones that fell within the last minutes, of any lot or none."""
+    """Draw the gradation curve of the last minutes: of all that fell, in any lot or in none."""
     name = minutes_name(minutes, wanted.language)
     since, until = last_minutes(minutes)
     text = await shared(context, window_curve_svg, since, until, product, name, wanted, keep_s=KEEP_S)

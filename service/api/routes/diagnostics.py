@@ -8,7 +8,6 @@ from fastapi import APIRouter, Depends, Response
 
 from service.api.auth import require
 from service.api.context import ApiContext, Context
-from service.api.problems import problem_responses
 from service.api.routes.metrics import metrics_of
 from service.api.settings import Scope
 from service.host.diagnostics.archive import build_archive
@@ -23,10 +22,10 @@ KEEP_S = 5.0
     "",
     response_class=Response,
     dependencies=[Depends(require(Scope.CONFIGURE))],
-    responses={200: {"content": {"application/gzip": {}}}, **problem_responses(503)},
+    responses={200: {"content": {"application/gzip": {}}}},
 )
 async def diagnostics(context: Context) -> Response:
-    """Return a .tar.gz for support: configuration, versions, health, alarms, accounting, host, calibrations, log.
+    """Download diagnostics for support: configuration, versions, health, alarms, accounting, host, log, as .tar.gz.
 
     Keys, tokens and secrets are replaced by `redacted`; it has no images, meshes or results. It is made at the lowest
     priority, in 30 s at most, and names in `missing.txt` what could not be had. It names devices and addresses of the

@@ -8,7 +8,7 @@ from pydantic import BaseModel, Field
 from pipeline.frames import rfc3339
 from service.api.auth import Who, require
 from service.api.context import Context
-from service.api.problems import Problem, problem_responses
+from service.api.problems import Problem
 from service.api.routes.trends import KEEP_S, Hours
 from service.api.routes.windows import next_second
 from service.api.settings import Scope
@@ -35,14 +35,12 @@ class DiaryPage(BaseModel):
     "/diary",
     status_code=201,
     dependencies=OPERABLE,
-    responses=problem_responses(422),
 )
 @router.post(
     "/events",
     name="post_event",
     status_code=201,
     dependencies=OPERABLE,
-    responses=problem_responses(422),
 )
 async def post_diary(context: Context, wanted: DiaryRequest, asking: Who) -> DiaryEntry:
     """Enter into the crusher's diary what was done; it is an event, `diary.noted`, and a mark on the trends.
@@ -56,24 +54,24 @@ async def post_diary(context: Context, wanted: DiaryRequest, asking: Who) -> Dia
         raise Problem(422, "invalid-request", f"body.{err}") from err
 
 
-@router.get("/diary", dependencies=READABLE, responses=problem_responses())
+@router.get("/diary", dependencies=READABLE)
 async def get_diary(
     context: Context,
     since: Annotated[GivenTime | None, Query(description="Done at or after, RFC 3339")] = None,
     until: Annotated[GivenTime | None, Query(description="Done before")] = None,
     limit: Annotated[int, Query(ge=1, le=1000, description="Entries of the answer, at most")] = 100,
 ) -> DiaryPage:
-    """Return the crusher's diary, newest first."""
+    """List the entries of the crusher's diary, newest first."""
     return DiaryPage(items=await context.store.read(entries, since, until, limit))
 
 
-@router.get("/diary/changes", response_model=Changes, dependencies=READABLE, responses=problem_responses())
+@router.get("/diary/changes", response_model=Changes, dependencies=READABLE)
 async def get_changes(
     context: Context,
     hours: Hours = 24.0,
     language: Annotated[Language, Query(description="Language of the sentences")] = Language.ENGLISH,
 ) -> Response:
-    """Return the changes since each entry of the last hours: D50, FI, SI and stones a minute, before and after.
+    """List the changes since each diary entry of the last hours: D50, FI, SI and stones a minute, before and after.
 
     Each side reaches to the neighbouring entry, at most 12 h. Stones that fall soon after each other are alike, which
     the intervals allow for. Clock times in sentences are the host's.

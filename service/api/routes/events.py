@@ -43,7 +43,7 @@ async def events(
         float, Query(ge=0, le=30, description="Longest wait for an event when there is none yet, s")
     ] = 0,
 ) -> Response:
-    """Return the events after `after`, in order, without gaps, each at least once. The newest 100 000 are kept.
+    """Follow the events: those after `after`, in order, without gaps, each at least once. The newest 100 000 are kept.
 
     410 `cursor-expired` and 409 `cursor-ahead` as of `/results`.
     """

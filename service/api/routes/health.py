@@ -8,7 +8,7 @@ from pydantic import BaseModel, Field
 
 from service.api.auth import require
 from service.api.context import Context
-from service.api.problems import Problem, problem_responses
+from service.api.problems import Problem
 from service.api.settings import Scope
 from service.api.version import API_VERSION
 from service.base.status import CheckStatus, HealthCheck, Ne107
@@ -57,15 +57,15 @@ class Ready(BaseModel):
     )
 
 
-@router.get("/live", response_model=Live, responses=problem_responses())
+@router.get("/live", response_model=Live)
 async def live() -> Live:
-    """Answer as long as the process does; asks no other part and needs no key."""
+    """Check that the process answers; asks no other part and needs no key."""
     return Live()
 
 
-@router.get("/ready", response_model=Ready, responses=problem_responses(503))
+@router.get("/ready", response_model=Ready)
 async def ready(context: Context) -> Ready:
-    """Answer 200 when stones can be measured, otherwise 503 with the reasons. Needs no key."""
+    """Check that stones can be measured: 200, otherwise 503 with the reasons. Needs no key."""
     health = context.control.health()
     if not health.ready:
         detail = "; ".join(health.reasons) or "no reason given"
@@ -77,10 +77,9 @@ async def ready(context: Context) -> Ready:
     "",
     response_model=HealthDocument,
     dependencies=[Depends(require(Scope.READ))],
-    responses=problem_responses(),
 )
 async def health(context: Context) -> dict[str, Any]:
-    """Return every check: cameras, gate, progress, queue, workers, calibration, store, disk and more; always 200."""
+    """Get the health: every check of cameras, gate, queue, workers, calibration, store, disk and more; always 200."""
     state = context.control.health()
     return {
         "status": OVERALL_STATUS.get(state.ne107, CheckStatus.WARN),

@@ -128,10 +128,10 @@ class Correlations(BaseModel):
     status_code=201,
     response_model=SievingDocument,
     dependencies=OPERABLE,
-    responses=problem_responses(404, 409, 422),
+    responses=problem_responses(404, 409),
 )
 async def post_sieving(context: Context, lot: LotName, wanted: SievingRequest, asking: Who) -> dict[str, Any]:
-    """Store what a laboratory found in a portion of a lot, to be shown beside the instrument's curve."""
+    """Store a sieving of the laboratory: of a portion of a lot, to be shown beside the instrument's curve."""
     existing(await context.store.read(find_lot, lot), "lot", lot)
     try:
         sieving = _sieving(wanted)
@@ -145,7 +145,7 @@ async def post_sieving(context: Context, lot: LotName, wanted: SievingRequest, a
     "/lots/{lot}/sieving", response_model=Sievings, dependencies=READABLE, responses=problem_responses(404)
 )
 async def list_sievings(context: Context, lot: LotName) -> Response:
-    """Return the sievings of a lot by laboratories."""
+    """List a lot's sievings of the laboratory."""
     existing(await context.store.read(find_lot, lot), "lot", lot)
     content = await context.reading.run(read, context.store.path, sievings_json, lot)
     return Response(content, media_type="application/json")
@@ -161,7 +161,7 @@ async def list_sievings(context: Context, lot: LotName) -> Response:
 async def post_correlation(
     context: Context, product: ProductName, wanted: StudyRequest, asking: Who
 ) -> dict[str, Any]:
-    """Study how the sievings of a product's lots and the instrument agree; lots show both curves from now on."""
+    """Correlate the instrument with a product's sievings; lots show both curves from now on."""
     existing(await context.store.read(find_product, product), "product", product)
     context.store.require_writable()
     try:
@@ -178,7 +178,7 @@ async def post_correlation(
     responses=problem_responses(404),
 )
 async def list_correlations(context: Context, product: ProductName) -> dict[str, Any]:
-    """Return all versions of a product's correlation study, the newest first."""
+    """List the correlation studies of a product, newest first."""
     existing(await context.store.read(find_product, product), "product", product)
     return {"items": [_flat(each) for each in await context.store.read(correlations, product)]}
 
@@ -186,7 +186,7 @@ async def list_correlations(context: Context, product: ProductName) -> dict[str,
 @router.get(
     "/repeatability",
     dependencies=READABLE,
-    responses=problem_responses(404, 409, 422),
+    responses=problem_responses(404, 409),
 )
 async def get_repeatability(
     context: Context,
@@ -196,7 +196,7 @@ async def get_repeatability(
         Conditions, Query(description="What runs under equal conditions have in common")
     ] = Conditions.DAY,
 ) -> SampleStudy:
-    """Compare the closed lots that are runs of one sample: the same stones dropped again, by others, elsewhere."""
+    """Get the repeatability of a sample: of the same stones dropped again in closed lots, by others, elsewhere."""
     try:
         found: SampleStudy | None = await context.reading.run(
             read, context.store.path, sample_study, sample_id, conditions, measuring

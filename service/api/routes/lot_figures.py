@@ -96,7 +96,7 @@ ReportLanguage = Annotated[Language, Query(description="Language of the report")
 @router.get(
     "/{lot}/gradation",
     response_model=LotFigures,
-    responses=problem_responses(404, 422),
+    responses=problem_responses(404),
 )
 async def gradation(
     context: Context,
@@ -104,7 +104,7 @@ async def gradation(
     measuring: Measuring,
     choosing: Choosing,
 ) -> Response:
-    """Return the figures of a lot through the sieves and the specification of its product, or through any other.
+    """Get the gradation of a lot: through the sieves and specification of its product, or through any other.
 
     `without` and `algorithm_version` ask what they would be of other stones; the document repeats what was asked.
     """
@@ -114,7 +114,7 @@ async def gradation(
 
 @router.get("/{lot}/algorithm-versions", response_model=LotVersions, responses=problem_responses(404))
 async def algorithm_versions(context: Context, lot: LotName) -> dict[str, Any]:
-    """Return the algorithm versions that have measured stones of a lot, each with the number of them."""
+    """List the algorithm versions that have measured stones of a lot, each with the number of stones."""
     existing(await context.store.read(find_lot, lot), "lot", lot)
     found = await context.reading.run(read, context.store.path, versions_of_lot, lot)
     items = [{"algorithm_version": version, "n_stones": n_stones} for version, n_stones in found.items()]
@@ -124,7 +124,7 @@ async def algorithm_versions(context: Context, lot: LotName) -> dict[str, Any]:
 @router.get(
     "/{lot}/report",
     response_class=Response,
-    responses={**REPORTS, **problem_responses(404, 406, 422)},
+    responses={**REPORTS, **problem_responses(404, 406)},
 )
 async def report(
     context: Context,
@@ -133,7 +133,7 @@ async def report(
     measuring: Measuring,
     language: ReportLanguage = Language.ENGLISH,
 ) -> Response:
-    """Return the report of a lot in the format that `Accept` prefers: HTML, PDF, CSV or XLSX."""
+    """Get the report of a lot: in the format that `Accept` prefers, HTML, PDF, CSV or XLSX."""
     offers = [each.media_type.partition(";")[0] for each in ReportFormat]
     choice = best_match(asked.headers.get("accept"), offers)
     if choice is None:
@@ -146,7 +146,7 @@ async def report(
 @router.get(
     "/{lot}/report.{report_format}",
     response_class=Response,
-    responses={**REPORTS, **problem_responses(404, 422)},
+    responses={**REPORTS, **problem_responses(404)},
 )
 async def report_file(
     context: Context,
@@ -155,13 +155,13 @@ async def report_file(
     measuring: Measuring,
     language: ReportLanguage = Language.ENGLISH,
 ) -> Response:
-    """Return the report of a lot as a file of this format."""
+    """Download the report of a lot as a file of this format."""
     return await _report(context, lot, report_format, language, measuring)
 
 
 @router.get(
     "/{lot}/particles",
-    responses=problem_responses(404, 422),
+    responses=problem_responses(404),
 )
 async def particles_behind_step(
     context: Context,
@@ -173,7 +173,7 @@ async def particles_behind_step(
     ] = None,
     limit: Annotated[int, Query(ge=1, le=1000, description="Stones of the answer, at most")] = 100,
 ) -> StonesBehindStep:
-    """Return the heaviest stones of a lot, or those behind a step of its curve.
+    """List the heaviest stones of a lot, or those behind a step of its curve.
 
     Behind a step are the stones that pass this sieve and not the next smaller one of the set.
     """

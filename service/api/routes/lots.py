@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.api.auth import Who, require
 from service.api.context import ApiContext, Context
-from service.api.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unchanged
+from service.api.etags import NOT_MODIFIED, TAGGED, IfMatch, change_if_match, etag, unchanged
 from service.api.feeds import MAX_SEQ
 from service.api.problems import Problem, existing, problem_responses
 from service.api.settings import Scope
@@ -106,7 +106,7 @@ class Assigned(BaseModel):
     status_code=201,
     response_model=LotDocument,
     dependencies=OPERABLE,
-    responses=problem_responses(404, 409),
+    responses={**TAGGED, **problem_responses(404, 409)},
 )
 async def post_lot(context: Context, wanted: LotRequest, response: Response, asking: Who) -> LotDocument:
     """Open a lot: what falls from now on is in it, whenever it is measured.
@@ -124,7 +124,7 @@ async def post_lot(context: Context, wanted: LotRequest, response: Response, ask
     return _served(response, record)
 
 
-@router.get("", response_model=LotsPage, dependencies=READABLE, responses=problem_responses())
+@router.get("", response_model=LotsPage, dependencies=READABLE)
 async def list_lots(
     context: Context,
     state: Annotated[LotState | None, Query(description="Only lots in this state")] = None,
@@ -132,7 +132,7 @@ async def list_lots(
     before: Annotated[GivenTime | None, Query(description="Opened before, RFC 3339")] = None,
     limit: Annotated[int, Query(ge=1, le=1000, description="Lots of a page, at most")] = 100,
 ) -> LotsPage:
-    """Return lots, newest first."""
+    """List the lots, newest first."""
     found = await context.store.read(lots, state, product, before, limit + 1)
     items = [lot_document(each) for each in found[:limit]]
     return LotsPage(items=items, next_before=items[-1].opened_at if len(found) > limit else None)
@@ -145,7 +145,7 @@ async def list_lots(
     responses={**NOT_MODIFIED, **problem_responses(404)},
 )
 async def get_lot(context: Context, asked: HttpRequest, response: Response, lot: LotName) -> Any:
-    """Return a lot; its `ETag` is for `If-Match` of a change."""
+    """Get a lot; its `ETag` is for `If-Match` of a change."""
     record = existing(await context.store.read(find_lot, lot), "lot", lot)
     return unchanged(asked, _tag(record)) or _served(response, record)
 
@@ -189,7 +189,7 @@ async def post_void(
     "/{lot}/assign", response_model=Assigned, dependencies=OPERABLE, responses=problem_responses(404, 409)
 )
 async def post_assign(context: Context, lot: LotName, wanted: AssignRequest, asking: Who) -> Assigned:
-    """Put the stones of a time that are in no lot into this one; the audit keeps who did it."""
+    """Assign stones to a lot: those of a time that are in no lot; the audit keeps who did it."""
     context.store.require_writable()
     done = await context.store.write(assign, lot, wanted.since, wanted.until, asking)
     record, n_assigned = existing(done, "lot", lot)

@@ -7,7 +7,6 @@ from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
 
 from service.api.context import ApiContext, Context
 from service.api.metrics import Snapshot, metrics_text
-from service.api.problems import problem_responses
 
 router = APIRouter(prefix="/metrics", tags=["health"])
 
@@ -18,10 +17,10 @@ KEEP_S = 1.0
 @router.get(
     "",
     response_class=Response,
-    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}, **problem_responses()},
+    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
 async def metrics(context: Context) -> Response:
-    """Return counts and states in Prometheus' text format: stones, delays, queue, cameras, health, calibration."""
+    """Get the metrics in Prometheus' text format: stones, delays, queue, cameras, health, calibration."""
     return Response(await metrics_of(context), media_type=CONTENT_TYPE_PLAIN_0_0_4)
 
 

@@ -8,7 +8,6 @@ from service.api.auth import require
 from service.api.context import ApiContext, Context
 from service.api.overview_documents import OverviewDocument
 from service.api.overviews import Overview
-from service.api.problems import problem_responses
 from service.api.routes.streams import Allow
 from service.api.settings import Scope
 from service.api.streams import EventStream, OpenStream, StillAllowed
@@ -20,10 +19,9 @@ router = APIRouter(prefix="/overview", tags=["overview"])
     "",
     response_model=OverviewDocument,
     dependencies=[Depends(require(Scope.READ))],
-    responses=problem_responses(),
 )
 async def overview(context: Context) -> Response:
-    """Return state, lot, main figures, counts, cameras, alarms and the newest stones in one document.
+    """Get the overview: state, lot, main figures, counts, cameras, alarms and the newest stones in one document.
 
     It is made once for all who ask within a second, and what takes long in it beside the measuring.
     """
@@ -31,9 +29,9 @@ async def overview(context: Context) -> Response:
     return Response(found.content, media_type="application/json", headers={"Cache-Control": "no-store"})
 
 
-@router.get("/stream", response_class=EventStream, responses=problem_responses(503))
+@router.get("/stream", response_class=EventStream)
 async def overview_stream(request: Request, context: Context, allow: Allow) -> OpenStream:
-    """Send the overview as server-sent events: an `overview` at once, then whenever it is another one.
+    """Stream the overview as server-sent events: an `overview` at once, then whenever it is another one.
 
     At most one comes in 0.7 s; one that does not change comes again after 5 s, so hear nothing for 10 s, and connect
     again. Ages and temperatures alone are no change. What goes wrong later is an event `problem`, the last one.

@@ -54,7 +54,7 @@ MESH: Responses = {
     "/{particle_id}/mesh", response_class=Response, responses={**MESH, **problem_responses(404, 406, 410)}
 )
 async def mesh(context: Context, request: Request, particle_id: ParticleKey) -> Response:
-    """Return the mesh in the format that `Accept` prefers: PLY or STL in mm with z up, or GLB in metres with y up.
+    """Get the mesh in the format that `Accept` prefers: PLY or STL in mm with z up, or GLB in metres with y up.
 
     Where `[body] texture` made them, PLY and GLB have the stone's grey as colours of the vertices.
     """
@@ -81,7 +81,7 @@ async def mesh_file(
     particle_id: ParticleKey,
     mesh_format: Annotated[MeshFormat, Path(description="Format of the file")],
 ) -> Response:
-    """Return the mesh in the format of the suffix: PLY or STL in mm with z up, or GLB in metres with y up.
+    """Download the mesh as a file: PLY or STL in mm with z up, or GLB in metres with y up, by the suffix.
 
     Where `[body] texture` made them, PLY and GLB have the stone's grey as colours of the vertices.
     """
@@ -94,7 +94,7 @@ async def mesh_file(
     responses={**NOT_MODIFIED, **problem_responses(404, 410)},
 )
 async def calipers(context: Context, request: Request, particle_id: ParticleKey) -> Response:
-    """Return where length, width, thickness, both Feret diameters and the sieve touch the mesh that is served.
+    """Get the caliper points: where length, width, thickness, both Feret diameters and the sieve touch the mesh.
 
     Lengths may differ from those of the result by what is known beyond the mesh: corners that it cuts, and of an
     estimate the hull around it. 404 `not-kept` without a mesh.
@@ -113,7 +113,7 @@ async def calipers(context: Context, request: Request, particle_id: ParticleKey)
 
 @router.get("/{particle_id}/preview.png", response_class=Response, responses=IMAGE)
 async def preview(context: Context, request: Request, particle_id: ParticleKey) -> Response:
-    """Return a rendered picture of the mesh, in the grey of its vertices if they have any."""
+    """Get a picture of the mesh, in the grey of its vertices if they have any."""
     record = await find_record(context, particle_id)
     return await _file(
         context, request, record, "preview", "image/png", preview_png, is_fixed=particle_id.isdecimal()
@@ -122,7 +122,7 @@ async def preview(context: Context, request: Request, particle_id: ParticleKey) 
 
 @router.get("/{particle_id}/views/{camera}.png", response_class=Response, responses=IMAGE)
 async def view(context: Context, request: Request, particle_id: ParticleKey, camera: CameraName) -> Response:
-    """Return the image of one camera; 404 `not-kept` when the raw images were not kept or are gone."""
+    """Get the image of a stone by one camera; 404 `not-kept` when the raw images were not kept or are gone."""
     record = await _record_with_view(context, particle_id, camera)
     frames = {**record, "seq": first_seq(record["id"]), "revision": 1}  # the stone's, whatever measured it
     return await _file(context, request, frames, camera, "image/png", view_png, camera, is_fixed=True)
@@ -132,7 +132,7 @@ async def view(context: Context, request: Request, particle_id: ParticleKey, cam
 async def silhouette(
     context: Context, request: Request, particle_id: ParticleKey, camera: CameraName
 ) -> Response:
-    """Return the stone's silhouette in one view: 0 outside, 128 unknown, 255 inside."""
+    """Get the silhouette of a stone in one view: 0 outside, 128 unknown, 255 inside."""
     record = await _record_with_view(context, particle_id, camera)
     return await _file(
         context,
@@ -154,7 +154,7 @@ async def silhouette(
 async def outline(
     context: Context, request: Request, particle_id: ParticleKey, camera: CameraName
 ) -> Response:
-    """Return the outline of the silhouette in one view, in pixels of the image: the stone, and dashed what is unknown.
+    """Draw the outline of a stone in one view: in pixels of the image; dashed is what is unknown.
 
     Paths have the classes `stone`, its holes among it, and `unknown`.
     """

@@ -44,7 +44,7 @@ class ParticlesPage(BaseModel):
     next_cursor: str | None = Field(description="Pass as `cursor` for the next page; null on the last")
 
 
-@router.get("", response_model=ParticlesPage, responses=problem_responses())
+@router.get("", response_model=ParticlesPage)
 async def particles(
     context: Context,
     names: ChosenFields,
@@ -129,7 +129,7 @@ async def particles(
 
 @router.get("/{particle_id}", response_model=Result, responses={**NOT_MODIFIED, **problem_responses(404)})
 async def particle(context: Context, request: Request, particle_id: ParticleKey) -> Response:
-    """Return one result; its `ETag` changes with its revision, its lot, its pin and the removal of its files."""
+    """Get a result; its `ETag` changes with its revision, its lot, its pin and the removal of its files."""
     record = await find_record(context, particle_id)
     return unchanged(request, record_tag(record)) or record_response(record)
 

@@ -40,7 +40,7 @@ class Pin(BaseModel):
 async def pin_particle(
     context: Context, particle_id: ParticleKey, wanted: Pin, asking: Who, if_match: IfMatch = None
 ) -> Response:
-    """Pin a result, or no longer, and return it. What was removed before does not come back."""
+    """Pin or unpin a result, and return it. What was removed before does not come back."""
     seq = first_seq((await find_record(context, particle_id))["id"])
     context.store.require_writable()
 

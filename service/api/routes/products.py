@@ -53,20 +53,18 @@ class Standards(BaseModel):
 @router.get(
     "",
     dependencies=[Depends(require(Scope.READ))],
-    responses=problem_responses(),
 )
 async def list_products(context: Context) -> ProductsDocument:
-    """Return the newest version of all products."""
+    """List the products: the newest version of each."""
     return ProductsDocument(items=await context.store.read(products))
 
 
 @router.get(
     "/standards",
     dependencies=[Depends(require(Scope.READ))],
-    responses=problem_responses(),
 )
 async def standards() -> Standards:
-    """Return the sieve sets and specifications that are known by name."""
+    """List the sieve sets and specifications that have a name."""
     sets = list(known_standards().sieve_sets.values())
     return Standards(sieve_sets=sets, specifications=specification_names())
 
@@ -74,7 +72,7 @@ async def standards() -> Standards:
 @router.put(
     "/{product}",
     dependencies=[Depends(require(Scope.CONFIGURE))],
-    responses=problem_responses(409, 412, 422),
+    responses=problem_responses(409, 412),
 )
 async def put_product(
     context: Context,
@@ -84,7 +82,7 @@ async def put_product(
     response: Response,
     if_match: IfMatch = None,
 ) -> Product:
-    """Define a product, or change it: a change is a new version, and lots keep theirs."""
+    """Define or change a product: a change is a new version, and lots keep theirs."""
     yardstick_of(wanted, Request())  # raises where it cannot be judged
     context.store.require_writable()
 
@@ -112,7 +110,7 @@ async def product(
     product: ProductName,
     version: Annotated[int | None, Query(ge=1, le=MAX_SEQ, description="The newest when absent")] = None,
 ) -> Any:
-    """Return a version of a product; its `ETag` is for `If-Match` of a change."""
+    """Get a product, its newest or another version; its `ETag` is for `If-Match` of a change."""
     found = existing(await context.store.read(find_product, product, version), "product", product)
     response.headers["ETag"] = _tag(found)
     return unchanged(request, _tag(found)) or found

@@ -29,9 +29,9 @@ class Recordings(BaseModel):
     items: list[RecordingStatus] = Field(description="By name")
 
 
-@router.get("", dependencies=[Depends(require(Scope.READ))], responses=problem_responses())
+@router.get("", dependencies=[Depends(require(Scope.READ))])
 async def recordings(context: Context) -> Recordings:
-    """Return all recordings, including those that failed since the daemon was started."""
+    """List the recordings, including those that failed since the daemon was started."""
     return Recordings(items=await context.control.recordings.all())
 
 
@@ -62,7 +62,7 @@ async def start_recording(
     responses={200: {"content": {"application/x-tar": {}}}, **problem_responses(404, 409)},
 )
 async def download_recording(context: Context, name: RecordingName) -> StreamingResponse:
-    """Return all files of a recording as one tar file; 409 while it is under way."""
+    """Download a recording: all its files as one tar file; 409 while it is under way."""
     recordings = context.control.recordings
     if existing(await recordings.find(name), "recording", repr(name)).state is RecordingState.RECORDING:
         raise Problem(409, Refusal.RUNNING, f"recording {name} is under way: stop it first")
@@ -101,7 +101,7 @@ async def delete_recording(context: Context, name: RecordingName, asking: Who) -
     responses=problem_responses(404),
 )
 async def recording(context: Context, name: RecordingName) -> RecordingStatus:
-    """Return the state of one recording."""
+    """Get a recording."""
     return existing(await context.control.recordings.find(name), "recording", repr(name))
 
 
@@ -111,7 +111,7 @@ async def recording(context: Context, name: RecordingName) -> RecordingStatus:
     responses=problem_responses(404),
 )
 async def stop_recording(context: Context, name: RecordingName, asking: Who) -> RecordingStatus:
-    """End a recording early, keep what it has, and answer when it is complete. Repeating changes nothing."""
+    """End a recording early: keep what it has, and answer when it is complete. Repeating changes nothing."""
     recordings = context.control.recordings
     before = existing(await recordings.find(name), "recording", repr(name))
     after = existing(await recordings.stop(name), "recording", repr(name))

@@ -47,7 +47,7 @@ async def fields_of(
 ChosenFields = Annotated[Names, Depends(fields_of)]
 
 
-@router.get("", response_model=ResultsPage, responses=problem_responses(409, 410, 422))
+@router.get("", response_model=ResultsPage, responses=problem_responses(409, 410))
 async def results(
     context: Context,
     names: ChosenFields,
@@ -67,7 +67,7 @@ async def results(
         ),
     ] = None,
 ) -> Response:
-    """Return the results after `after`, in order, without gaps, each at least once.
+    """Follow the results: those after `after`, in order, without gaps, each at least once.
 
     A stone that was measured again comes again: an item with the same `id`, the next `revision`, and in `revises` the
     `seq` of the item whose place it takes. Store by `id`, and the newest wins.

@@ -68,7 +68,7 @@ def hindrances() -> Iterator[None]:
 async def remeasure_particle(
     context: Context, particle_id: ParticleKey, asking: Who, delivery: Delivery | None = None
 ) -> Remeasured:
-    """Measure a stone again, from its archived frames, with the calibration of its result and today's algorithm.
+    """Measure a stone again: from its archived frames, with the calibration of its result and today's algorithm.
 
     The answer comes when the revision is durable: a moment later or, while stones fall, some seconds. 404 `not-kept`:
     it has no frames any more. 409: `calibration-gone`, `no-background` (the empty rig was not exposed yet) or
@@ -93,7 +93,7 @@ async def remeasure_particle(
     responses=problem_responses(404, 409),
 )
 async def order_revision(context: Context, particle_id: ParticleKey) -> Ordered:
-    """Write down how a stone is to be measured again, for `stonefall remeasure --executor` on the daemon's host.
+    """Order a stone to be measured again elsewhere: for `stonefall remeasure --executor` on the daemon's host.
 
     The store is not changed. Hindrances are those of `POST /particles/{id}/revisions`.
     """

@@ -65,7 +65,7 @@ class SessionDocument(BaseModel):
 
 @router.post("", response_model=SessionDocument, responses=problem_responses(401, 403, 429))
 async def sign_in(request: Request, response: Response, context: Context, wanted: SignIn) -> SessionDocument:
-    """Exchange the token of a key for a session: a cookie that browsers send, and no script sees.
+    """Sign in: exchange the token of a key for a cookie that browsers send, and no script sees.
 
     It ends when it was not renewed for 12 h, after 30 days, with its key, and by `DELETE`; a restart it outlives. What
     is written with it needs the `Origin` of our own pages. Programs need no session: they send their key. Wrong tokens
@@ -87,7 +87,7 @@ async def sign_in(request: Request, response: Response, context: Context, wanted
 
 @router.get("", response_model=SessionDocument, responses=problem_responses(401, 429))
 async def session(request: Request, response: Response, context: Context, asking: Asking) -> SessionDocument:
-    """Return the requester's name and scopes, and renew the session of a browser. Needs no key.
+    """Get the session: who asks and what that allows; renews that of a browser. Needs no key.
 
     A page asks once in an hour. 401 only for an invalid bearer token.
     """
@@ -108,7 +108,7 @@ async def session(request: Request, response: Response, context: Context, asking
 
 @router.delete("", status_code=204, response_class=Response, responses=problem_responses(401, 403, 429))
 async def sign_out(request: Request, context: Context, asking: Asking) -> Response:
-    """End the session of this browser; its cookie suffices. Without one, nothing happens."""
+    """Sign out: end the session of this browser and of each copy of its cookie; without one, nothing happens."""
     response = Response(status_code=204)
     if asking.session is not None:
         require_own_page(request, context.settings)

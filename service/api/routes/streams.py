@@ -49,12 +49,12 @@ Allow = Annotated[StillAllowed, Depends(still_allowed)]
 @router.get(
     "/results/stream",
     response_class=EventStream,
-    responses=problem_responses(409, 410, 503),
+    responses=problem_responses(409, 410),
 )
 async def results_stream(
     request: Request, context: Context, names: ChosenFields, after: Cursor, allow: Allow
 ) -> OpenStream:
-    """Send every result as it comes: the feed as server-sent events.
+    """Stream the results as server-sent events: the feed.
 
     First comes `history` (`instance_id`, `first_seq`, `last_seq`), then a `result` each, with `seq` as its `id`; after
     15 s of silence a comment. Connect again with `Last-Event-ID` to go on. 409 and 410 as of `/results`; what goes
@@ -66,8 +66,8 @@ async def results_stream(
 @router.get(
     "/events/stream",
     response_class=EventStream,
-    responses=problem_responses(409, 410, 503),
+    responses=problem_responses(409, 410),
 )
 async def events_stream(request: Request, context: Context, after: Cursor, allow: Allow) -> OpenStream:
-    """Send every event as it comes: `/events` as server-sent events, each by its type, like `/results/stream`."""
+    """Stream the events as server-sent events: `/events`, each by its type, like `/results/stream`."""
     return await open_stream(context, EVENT_STREAM, after, request, allow)

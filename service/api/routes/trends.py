@@ -28,9 +28,9 @@ Hours = Annotated[float, Query(ge=1, le=720, description="How far back, h")]
 LotId = Annotated[str, Query(pattern=ID, description="Id of the first lot")]
 
 
-@router.get("/trends", response_model=Trend, responses=problem_responses())
+@router.get("/trends", response_model=Trend)
 async def get_trends(context: Context, hours: Hours = 12.0) -> Response:
-    """Return rate, D50, flakiness and shape index over the last hours, in buckets of a minute to a day.
+    """Get the trends of the last hours: rate, D50, flakiness and shape index, in buckets of a minute to a day.
 
     With them come the entries of the crusher's diary and the lots of that time. A replay's stones fell long ago: they
     count when their results came. Of a bucket with more than 2000
@@ -41,7 +41,7 @@ async def get_trends(context: Context, hours: Hours = 12.0) -> Response:
     return Response(content, media_type="application/json")
 
 
-@router.get("/trends/{figure}.svg", response_class=Response, responses={**SVG, **problem_responses(422)})
+@router.get("/trends/{figure}.svg", response_class=Response, responses=SVG)
 async def get_trend_drawing(
     context: Context,
     asked: HttpRequest,
@@ -54,14 +54,14 @@ async def get_trend_drawing(
     hours: Hours = 12.0,
     language: DrawingLanguage = Language.ENGLISH,
 ) -> Response:
-    """Return one figure over the last hours as a drawing: its line and 95 % interval, the diary's marks, the lots."""
+    """Draw the trend of a figure: its line and 95 % interval over the last hours, the diary's marks, the lots."""
     now, measured = rfc3339(next_second()), context.control.lots.measured
     text = await shared(context, trend_drawing, now, hours, measured, figure, language, keep_s=KEEP_S)
     return svg_answer(asked, text or "")
 
 
 @router.get(
-    "/comparisons/lots", response_model=LotComparison, responses=problem_responses(404, 422), tags=["lots"]
+    "/comparisons/lots", response_model=LotComparison, responses=problem_responses(404), tags=["lots"]
 )
 async def compare(
     context: Context,
@@ -78,7 +78,7 @@ async def compare(
         str | None, Query(max_length=200, description="The second as this version measured it")
     ] = None,
 ) -> Response:
-    """Compare two lots, or one lot as two versions of the algorithms measured it, by the product of the first.
+    """Compare two lots, or one as two algorithm versions measured it: by the product of the first.
 
     Each figure comes with its difference, the 95 % interval of that, and whether it is more than chance.
     """

@@ -64,10 +64,9 @@ class Verifications(BaseModel):
 @router.get(
     "",
     dependencies=[Depends(require(Scope.READ))],
-    responses=problem_responses(),
 )
 async def verifications(context: Context) -> Verifications:
-    """Return all verifications, newest first."""
+    """List the verifications, newest first."""
     known = context.control.calibrations.verifications
     return Verifications(limits=known.parameters, items=known.all())
 
@@ -81,11 +80,11 @@ async def verifications(context: Context) -> Verifications:
 async def start_verification(
     context: Context, wanted: VerificationRequest, response: Response, asking: Who
 ) -> Verification:
-    """Measure the next balls with the calibration in use. Get it again until its state is `passed` or `failed`.
+    """Begin a verification: measure the next balls with the calibration in use.
 
-    409 while another verification or a calibration is open, or when the rig cannot see drops (`held`,
-    `disarming`, `stopping`). On live cameras everything that falls until the verdict has the kind `ball`. A failed
-    verification puts the rig *out of specification*; it keeps measuring.
+    Get it again until its state is `passed` or `failed`. 409 while another verification or a calibration is open, or
+    when the rig cannot see drops (`held`, `disarming`, `stopping`). On live cameras everything that falls until the
+    verdict has the kind `ball`. A failed verification puts the rig *out of specification*; it keeps measuring.
     """
     control = context.control
     verification = await control.calibrations.verify(wanted, control.acquisition_status().state)
@@ -98,13 +97,12 @@ async def start_verification(
     "/chart",
     response_model=ChartDocument,
     dependencies=[Depends(require(Scope.READ))],
-    responses=problem_responses(),
 )
 async def verification_chart(
     context: Context,
     diameter_mm: Annotated[float, Query(gt=0, le=100, description="Of the ball")] = 15.0,
 ) -> dict[str, Any]:
-    """Return the control chart of all verifications with a ball: centre, limits, and which are out of control."""
+    """Get the control chart of the verifications with a ball: centre, limits, and which are out of control."""
     series = context.control.calibrations.verifications.series(diameter_mm)
     points = [(each, summary) for each in series if (summary := each.summary) is not None]
     found = control_chart([summary.error_mm for _, summary in points], centre=0.0) if points else None
@@ -133,7 +131,7 @@ async def verification_chart(
     responses=problem_responses(404),
 )
 async def verification(context: Context, verification: VerificationName) -> Verification:
-    """Return one verification."""
+    """Get a verification."""
     known = context.control.calibrations.verifications.find(verification)
     return existing(known, "verification", verification)
 
@@ -162,7 +160,7 @@ async def cancel_verification(context: Context, verification: VerificationName, 
 async def void_verification(
     context: Context, verification: VerificationName, wanted: VoidVerificationRequest, asking: Who
 ) -> Verification:
-    """Declare a verdict void: it counts no more, for health and results the one before does."""
+    """Declare a verification void: its verdict counts no more, for health and results the one before does."""
     known = context.control.calibrations.verifications
     before = existing(known.find(verification), "verification", verification)
     after = existing(await known.void(verification, wanted.reason), "verification", verification)

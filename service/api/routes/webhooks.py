@@ -78,9 +78,9 @@ async def name_of(
 Name = Annotated[str, Depends(name_of)]
 
 
-@router.get("", response_model=WebhooksDocument, responses=problem_responses())
+@router.get("", response_model=WebhooksDocument)
 async def webhooks(context: Context) -> dict[str, Any]:
-    """Return all endpoints, and the progress of each."""
+    """List the webhook endpoints, and how far they are."""
     return {"items": [_document(status) for status in await context.control.webhooks.statuses()]}
 
 
@@ -90,13 +90,13 @@ async def webhook_deliveries(
     name: Name,
     limit: Annotated[int, Query(ge=1, le=500, description="Attempts, at most")] = 100,
 ) -> DeliveriesDocument:
-    """Return the outcomes of the newest attempts to post to an endpoint, newest first."""
+    """List the deliveries of a webhook: the newest attempts and their outcome, newest first."""
     return DeliveriesDocument(items=await context.store.read(deliveries, name, limit))
 
 
 @router.post("/{webhook}/enable", response_model=WebhookDocument, responses=problem_responses(404))
 async def enable_webhook(context: Context, name: Name, asking: Who) -> dict[str, Any]:
-    """Try an endpoint again at once, whether it was disabled or waits for its next attempt."""
+    """Enable a webhook: try its endpoint again at once, whether it was disabled or waits for its next attempt."""
     context.store.require_writable()
     await context.control.webhooks.enable(name, asking)
     return _document(await context.control.webhooks.status(name))
@@ -104,7 +104,7 @@ async def enable_webhook(context: Context, name: Name, asking: Who) -> dict[str,
 
 @router.post("/{webhook}/replay", response_model=WebhookDocument, responses=problem_responses(404, 409, 410))
 async def replay_webhook(context: Context, name: Name, wanted: ReplayRequest, asking: Who) -> dict[str, Any]:
-    """Post all events after a number to an endpoint again, under the ids that they had; forward, it skips events.
+    """Replay events to a webhook: all after a number, under the ids that they had; forward, it skips events.
 
     A disabled one gets them when it is enabled. 409 `cursor-ahead` and 410 `cursor-expired` as at `/events`.
     """
@@ -119,7 +119,7 @@ async def replay_webhook(context: Context, name: Name, wanted: ReplayRequest, as
 
 @router.post("/{webhook}/test", responses=problem_responses(404))
 async def test_webhook(context: Context, name: Name, asking: Who) -> Attempt:
-    """Send an endpoint a `webhook.test` now, once, disabled or not; return the outcome.
+    """Test a webhook: send `webhook.test` now, once, disabled or not, and return the outcome.
 
     It takes as long as the endpoint, `[webhooks] timeout_s` at most. 503 `busy` while another test is under way.
     """

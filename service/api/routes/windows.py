@@ -22,25 +22,25 @@ Minutes = Annotated[float, Query(gt=0, le=10_080, description="How far back")]
 ProductId = Annotated[str | None, Query(pattern=ID, description="Judge by this product's newest version")]
 
 
-@router.get("/current", response_model=LotFigures, responses=problem_responses(404, 422))
+@router.get("/current", response_model=LotFigures, responses=problem_responses(404))
 async def current_window(
     context: Context,
     measuring: Measuring,
     minutes: Minutes = 60.0,
     product: ProductId = None,
 ) -> Response:
-    """Return the figures of the stones that fell within the last minutes, of any lot or none."""
+    """Get the figures of the last minutes: of all that fell, in any lot or in none."""
     return await _figures(context, *last_minutes(minutes), product, measuring)
 
 
-@router.get("/shift", response_model=LotFigures, responses=problem_responses(404, 422))
+@router.get("/shift", response_model=LotFigures, responses=problem_responses(404))
 async def shift(
     context: Context,
     measuring: Measuring,
     ago: Annotated[int, Query(ge=0, le=1000, description="0: the present shift, 1: the one before")] = 0,
     product: ProductId = None,
 ) -> Response:
-    """Return the figures of a shift; `[lots] shift_starts` says when they begin, by the host's local time."""
+    """Get the figures of a shift; `[lots] shift_starts` says when they begin, by the host's local time."""
     since, until = shift_at(datetime.now(UTC).astimezone(), context.control.lots.shift_starts, ago)
     return await _figures(context, rfc3339(since), rfc3339(until), product, measuring)
 
