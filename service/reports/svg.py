@@ -69,26 +69,29 @@ def curve_svg(
     return svg(gradation_curve(steps, words(language), laboratory, beside), language)
 
 
-def svg(drawing: Drawing, language: Language) -> str:
-    """Return a drawing as SVG; the same drawing gives the same text.
+def svg(drawing: Drawing, language: Language, *, is_printed: bool = False) -> str:
+    """Return a drawing as SVG; the same drawing gives the same text. Its colours are literal ones if it is printed.
 
     `data-sieves` has the size in mm and the x of each sieve, as points, so that a page knows what was clicked.
     """
     shapes = "\n".join(map(_element, drawing.shapes))
     sieves = " ".join(f"{size_mm:g},{x:.2f}" for size_mm, x in drawing.sieves)
     data = f' data-sieves="{sieves}"' if sieves else ""
+    rules = _rules(LIGHT, "{1}")
+    if not is_printed:
+        rules = f"{_rules(LIGHT)}@media screen and (prefers-color-scheme:dark){{\n{_rules(DARK)}}}\n"
     return (
         f'<svg class="sf-curve" xmlns="http://www.w3.org/2000/svg" role="img" lang="{language}"'
         f' viewBox="0 0 {drawing.width:g} {drawing.height:g}" width="{drawing.width:g}" height="{drawing.height:g}"'
         f"{data}>\n"
         f"<title>{escape(drawing.title)}</title>\n<desc>{escape(drawing.description)}</desc>\n"
-        f"<style>\n{_rules(LIGHT)}@media screen and (prefers-color-scheme:dark){{\n{_rules(DARK)}}}\n</style>\n"
+        f"<style>\n{rules}</style>\n"
         f"{shapes}\n</svg>\n"
     )
 
 
-def _rules(theme: int) -> str:
-    colours = {name: f"var(--sf-{name},{pair[theme]})" for name, pair in COLOURS.items()}
+def _rules(theme: int, colour: str = "var(--sf-{0},{1})") -> str:
+    colours = {name: colour.format(name, pair[theme]) for name, pair in COLOURS.items()}
     return RULES.format(size=f"{LABEL_SIZE:g}", **colours)
 
 

@@ -14,7 +14,7 @@ from service.base.language import Language
 from service.lots.figures import CurveStep
 from service.reports.curve import BOTTOM, LEFT, RIGHT, TOP, gradation_curve, shown_steps, unmeasured_ranges
 from service.reports.drawing import Dot, Line, Style
-from service.reports.svg import curve_svg
+from service.reports.svg import curve_svg, svg
 from service.reports.words import words
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -51,6 +51,13 @@ def test_it_refers_to_nothing_and_has_colours_for_both_themes() -> None:
     assert "href" not in text
     assert "@media screen and (prefers-color-scheme:dark)" in text
     assert "var(--sf-curve,#" in text
+
+
+def test_a_printed_one_has_literal_colours() -> None:
+    text = svg(gradation_curve(curve(), ENGLISH), Language.ENGLISH, is_printed=True)
+    assert ".band{fill:#1c5fa8;" in text
+    assert "var(" not in text
+    assert "@media" not in text
 
 
 def test_sizes_are_on_a_logarithmic_axis_and_percents_on_a_linear_one() -> None:
