@@ -1,4 +1,4 @@
-"""A drawing as plain shapes, which SVG and PDF draw alike: y goes down, lengths are points."""
+"""A drawing as plain shapes: y goes down, lengths are points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

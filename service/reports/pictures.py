@@ -20,3 +20,13 @@ def readable_png(png: bytes | None) -> bytes | None:
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):
         return None
     return png
+
+
+def sound_png(png: bytes) -> bytes | None:
+    """Return a readable picture encoded anew: typst refuses a PNG that Pillow reads in spite of a damaged end."""
+    if readable_png(png) is None:
+        return None
+    sound = BytesIO()
+    with Image.open(BytesIO(png), formats=("PNG",)) as image:
+        image.save(sound, "PNG", compress_level=1)
+    return sound.getvalue()
