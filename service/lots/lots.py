@@ -169,7 +169,9 @@ def assign(
             raise LotConflictError(f"lot {lot} is void")
         within = (lot, since, until)
         n_assigned = connection.execute(
-            "UPDATE stones SET lot = ? WHERE captured_at >= ? AND captured_at < ? AND lot IS NULL", within
+            "UPDATE indexed_fields SET lot = ? WHERE captured_at >= ? AND captured_at < ? AND lot IS NULL"
+            " AND kind = 'particle'",
+            within,
         ).rowcount
         n_triggers = connection.execute(
             "UPDATE triggers SET lot = ? WHERE captured_at >= ? AND captured_at < ? AND lot IS NULL"

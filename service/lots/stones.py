@@ -11,11 +11,9 @@ from pipeline.gradation.stones import DEVIATIONS, MEASURES, Fate, Lot, Stone, Un
 
 SURFACES = sqrt(2.0)
 """Standard deviation of a distance between two surfaces by that of one: their errors are taken for independent."""
-MEASURED_COLUMNS = (
-    *(name for name in MEASURES if name not in DEVIATIONS),
-    "volume_sd_percent",
-    "surface_sd_mm",
-)
+SIZES = tuple(name for name in MEASURES if name not in DEVIATIONS)
+"""Fields that every measured stone has."""
+MEASURED_COLUMNS = (*SIZES, "volume_sd_percent", "surface_sd_mm")
 """Fields of a measured stone that a gradation needs, in the order of `lot_of_columns`."""
 
 
@@ -26,7 +24,7 @@ def stone_of(record: Mapping[str, Any]) -> Stone | UnmeasuredStone:
         return UnmeasuredStone(fate=fate, reason=record["reason"], n_stones=record.get("n_stones") or 1)
     size_sd_mm = SURFACES * (record["surface_sd_mm"] or 0.0)
     return Stone(
-        **{name: record[name] for name in MEASURES if name not in DEVIATIONS},
+        **{name: record[name] for name in SIZES},
         volume_sd=(record["volume_sd_percent"] or 0.0) / 100,
         sieve_size_sd_mm=size_sd_mm,
         feret_sd_mm=size_sd_mm,

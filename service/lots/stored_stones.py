@@ -12,16 +12,12 @@ from pipeline.frames import BundleKind
 from pipeline.gradation.stones import Fate, Stone, UnmeasuredStone
 from service.base.errors import ServiceError
 from service.base.schema import ANSWER, Time
-from service.lots.stones import stone_of
+from service.lots.stones import SIZES, stone_of
+from service.results.fields import INDEXED_FIELDS
 from service.results.refinement import why_not_refined
 
-COLUMNS = (
-    "captured_at", "outcome", "reason", "quality", "volume_mm3", "sieve_size_mm", "max_feret_mm", "min_feret_mm",
-    "length_mm", "width_mm", "thickness_mm", "volume_sd_percent", "surface_sd_mm", "calibration_id",
-    "algorithm_version", "is_simulated", "is_replay", "body", "refinement_fallback",
-    "n_stones",
-)  # fmt: skip
-SIZES = itemgetter(*COLUMNS[4:11])
+COLUMNS = ("id", "n_stones", *INDEXED_FIELDS)
+SIZES_OF = itemgetter(*SIZES)
 BODY = itemgetter("body", "refinement_fallback")
 
 
@@ -141,10 +137,10 @@ def stones_behind(
 
 def _rows(connection: sqlite3.Connection, condition: str, *values: str) -> list[dict[str, Any]]:
     query = connection.execute(
-        f"SELECT id, {', '.join(COLUMNS)} FROM stones WHERE {condition} ORDER BY seq",  # noqa: S608 - of this module
+        f"SELECT {', '.join(COLUMNS)} FROM stones WHERE {condition} ORDER BY seq",  # noqa: S608 - of this module
         values,
     )
-    return [dict(zip(("id", *COLUMNS), row, strict=True)) for row in query]
+    return [dict(zip(COLUMNS, row, strict=True)) for row in query]
 
 
 def _by_version(connection: sqlite3.Connection, lot: str, version: str) -> list[dict[str, Any]]:
@@ -162,7 +158,7 @@ def _by_version(connection: sqlite3.Connection, lot: str, version: str) -> list[
     newest: dict[str, dict[str, Any]] = {}
     for (text,) in earlier:
         record = json.loads(text)
-        newest[record["id"]] = {name: record.get(name) for name in ("id", *COLUMNS)}
+        newest[record["id"]] = {name: record.get(name) for name in COLUMNS}
     records = [*_rows(connection, "lot = ? AND algorithm_version = ?", lot, version), *newest.values()]
     if not records:
         known = ", ".join(versions_of_lot(connection, lot)) or "none"
@@ -207,7 +203,7 @@ def stones_in(records: Sequence[Mapping[str, Any]]) -> Stones:
 
 
 def _stone(record: Mapping[str, Any]) -> Stone | UnmeasuredStone:
-    if record["outcome"] == Fate.MEASURED and None in SIZES(record):
+    if record["outcome"] == Fate.MEASURED and None in SIZES_OF(record):
         return UnmeasuredStone(fate=Fate.REJECTED, reason="incomplete")  # of a version that measured less
     return stone_of(record)
 

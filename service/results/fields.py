@@ -8,7 +8,7 @@ that it is read from.
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -16,7 +16,10 @@ from service.base.schema import TIME, always_present
 
 ONLY_IF_MEASURED = "null unless measured"
 """Marks a field that is null unless the outcome is `measured`."""
-
+INDEXED = "indexed"
+"""Marks a field that results are searched, listed or counted by: a column of `service.store.indexed_fields`."""
+T = TypeVar("T")
+Indexed = Annotated[T, INDEXED]
 
 ALWAYS = ("seq", "id", "revision", "kind", "outcome", "is_simulated", "is_replay")
 """Fields that are in every answer, whichever are chosen: what is not production must never be billed as such."""
@@ -142,29 +145,33 @@ class Result(BaseModel):
     session: int = Field(description="Run of the daemon in which the trigger came")
     bundle: str = Field(description="Name of the bundle of images")
     sequence: int = Field(description="The light gate's own count; a gap reveals lost triggers")
-    kind: Literal["particle", "ball"] = Field(description="What was exposed")
+    kind: Indexed[Literal["particle", "ball"]] = Field(description="What was exposed")
     n_stones: int = Field(
         default=1,
         description="Stones that this outcome is of: 1, but for a loss of many together, of which only the light gate's"
         " counter knows: add them up",
     )
-    captured_at: str = Field(description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME)
+    captured_at: Indexed[str] = Field(
+        description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME
+    )
     recorded_at: str = Field(description="When the outcome became durable", json_schema_extra=TIME)
     time_is_doubtful: bool | None = Field(
         default=None,
         description="True when the host's clock was not set: `captured_at` or `recorded_at` is before 2026",
     )
-    outcome: Literal[Outcome.MEASURED, Outcome.REJECTED, Outcome.LOST] = Field(
+    outcome: Indexed[Literal[Outcome.MEASURED, Outcome.REJECTED, Outcome.LOST]] = Field(
         description="`measured`: the stone has a body and its measures; `rejected`: the views were looked at and found"
         " unfit; `lost`: they were never looked at"
     )
-    reason: str | None = Field(default=None, description="Why rejected or lost, one word; null when measured")
+    reason: Indexed[str | None] = Field(
+        default=None, description="Why rejected or lost, one word; null when measured"
+    )
     detail: str | None = Field(default=None, description="The reason for people")
-    quality: Literal["good", "reduced", "degraded"] | None = Field(
+    quality: Indexed[Literal["good", "reduced", "degraded"] | None] = Field(
         default=None,
         description="How far from the truth the result may be, by `[quality]` and by the number of views",
     )
-    quality_causes: list[QualityCause] = Field(
+    quality_causes: Indexed[list[QualityCause]] = Field(
         default=[], description="Why the quality is not `good`, the greatest cause first"
     )
     views: list[str] = Field(default=[], description="Cameras whose views were measured")
@@ -178,24 +185,26 @@ class Result(BaseModel):
         default={},
         description="Cameras whose view another segmenter than the first decided, each with the reason",
     )
-    body: Annotated[Literal["photo", "estimate", "hull"] | None, ONLY_IF_MEASURED] = _measured(
+    body: Indexed[Annotated[Literal["photo", "estimate", "hull"] | None, ONLY_IF_MEASURED]] = _measured(
         "Body that mesh and shape describe: the estimate refined by the pixels inside the outlines, the estimate, or"
         " the visual hull"
     )
     supported_share: Number = _measured(
         "Share of the surface, 0 to 1, that those pixels say something about; null when they were not examined"
     )
-    refinement_fallback: Text = _measured(
+    refinement_fallback: Indexed[Text] = _measured(
         "Why the estimate was not refined although `[body] kind` is `photo`; null when it was, or need not be"
     )
-    volume_mm3: Number = _measured(
+    volume_mm3: Indexed[Number] = _measured(
         "Volume, corrected by the gap between hull and estimate (without one, as a sphere's hull, or not at all:"
         " see `volume_model`), mm³"
     )
-    volume_sd_percent: Number = _measured(
+    volume_sd_percent: Indexed[Number] = _measured(
         "Standard deviation of `volume_mm3`, %, dents that no silhouette shows included"
     )
-    surface_sd_mm: Number = _measured("Standard deviation of the mesh's distance to the stone's surface, mm")
+    surface_sd_mm: Indexed[Number] = _measured(
+        "Standard deviation of the mesh's distance to the stone's surface, mm"
+    )
     volume_raw_mm3: Number = _measured("Volume of the visual hull, mm³")
     volume_estimate_mm3: Number = _measured(
         "Volume of the estimated body's mesh, mm³; null when nothing is estimated"
@@ -204,17 +213,19 @@ class Result(BaseModel):
         "Id of the coefficients that `volume_mm3` is corrected with; `sphere`: as a sphere's hull; `none`: it is not"
     )
     surface_area_mm2: Number = _measured("Surface area of the mesh, mm²")
-    length_mm: Number = _measured("Greatest dimension (ASTM D4791 length), mm")
-    width_mm: Number = _measured("Greatest dimension at right angles to the length (ASTM D4791 width), mm")
-    thickness_mm: Number = _measured("Dimension at right angles to both (ASTM D4791 thickness), mm")
-    max_feret_mm: Number = _measured(
+    length_mm: Indexed[Number] = _measured("Greatest dimension (ASTM D4791 length), mm")
+    width_mm: Indexed[Number] = _measured(
+        "Greatest dimension at right angles to the length (ASTM D4791 width), mm"
+    )
+    thickness_mm: Indexed[Number] = _measured("Dimension at right angles to both (ASTM D4791 thickness), mm")
+    max_feret_mm: Indexed[Number] = _measured(
         "Greatest distance of two parallel tangent planes (EN 933-4 length L), mm"
     )
-    min_feret_mm: Number = _measured(
+    min_feret_mm: Indexed[Number] = _measured(
         "Least distance of two parallel tangent planes (EN 933-4 thickness E), mm"
     )
     min_box_mm: Numbers = _measured("Edges a >= b >= c of the box of least volume, mm")
-    sieve_size_mm: Number = _measured(
+    sieve_size_mm: Indexed[Number] = _measured(
         "Smallest square aperture the body passes in its best orientation (square holes of EN 933-2), mm"
     )
     equivalent_diameter_mm: Number = _measured("Diameter of the sphere of `volume_mm3`: (6 V / pi)^(1/3), mm")
@@ -233,7 +244,7 @@ class Result(BaseModel):
     flatness_ratio: Number = _measured(
         "Zingg's flatness ratio c / b, of the edges in `min_box_mm`, 0..1; 1: as thick as wide"
     )
-    zingg_class: Text = _measured(
+    zingg_class: Indexed[Text] = _measured(
         "Zingg's form: `equant` with b / a and c / b above 2/3, `disc` with b / a alone, `rod` with c / b alone,"
         " `blade` with neither"
     )
@@ -275,13 +286,15 @@ class Result(BaseModel):
     )
     optics: dict[str, ViewOptics] = Field(default={}, description="How well each camera saw this stone")
     timings_ms: dict[str, float] = Field(default={}, description="Computing time of each stage, ms")
-    calibration_id: str | None = Field(default=None, description="Calibration that was measured with")
+    calibration_id: Indexed[str | None] = Field(
+        default=None, description="Calibration that was measured with"
+    )
     verification: Verified | None = Field(
         default=None, description="What the last balls said of the rig when the stone was measured"
     )
-    algorithm_version: str | None = Field(default=None, description="Changes whenever results may")
-    is_simulated: bool | None = Field(default=None, description="True when the images are synthetic")
-    is_replay: bool | None = Field(
+    algorithm_version: Indexed[str | None] = Field(default=None, description="Changes whenever results may")
+    is_simulated: Indexed[bool | None] = Field(default=None, description="True when the images are synthetic")
+    is_replay: Indexed[bool | None] = Field(
         default=None, description="True when no stone fell: a recording was played, or the rig is simulated"
     )
     lot: str | None = Field(
@@ -302,6 +315,9 @@ MEASURED_FIELDS = tuple(
     name for name, field in Result.model_fields.items() if ONLY_IF_MEASURED in field.metadata
 )
 """Fields that are null unless the outcome is `measured`."""
+
+INDEXED_FIELDS = tuple(name for name, field in Result.model_fields.items() if INDEXED in field.metadata)
+"""Fields that results are searched, listed or counted by."""
 
 STORED_FIELDS = (
     "seq",

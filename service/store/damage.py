@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from pipeline.frames import rfc3339
-from service.store import schema
+from service.store import indexed_fields, schema
 from service.store.particle_files import is_folder
 from service.store.trouble import Cause, trouble_of
 
@@ -99,7 +99,8 @@ def _schema_damage(connection: sqlite3.Connection) -> str | None:
         return None  # of a newer program, which is refused later
     if version < 0:
         return f"schema {version}"
-    found, expected = schema.objects(connection), schema.expected_objects(version)
+    found = schema.objects(connection)
+    expected = schema.expected_objects(version, indexed_fields.columns(connection))
     later = schema.expected_objects(schema.newest_version())
     for kind, name in sorted(later):
         if found.get((kind, name)) != expected.get((kind, name)):

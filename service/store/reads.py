@@ -53,26 +53,22 @@ LATER = (
 )
 """Their revisions."""
 NEWEST = (
-    "SELECT results.seq, coalesce(revisions.record, results.record), removed, pins.reason, triggers.lot"  # noqa: S608 - as above
-    f" FROM results{STATE} LEFT JOIN revised ON revised.first = results.seq"
-    " LEFT JOIN revisions ON revisions.seq = revised.seq"
+    "SELECT seq, record, removed, pins.reason, lot"
+    " FROM newest_records LEFT JOIN files USING (seq) LEFT JOIN pins USING (seq)"
 )
 """The newest revision of each result."""
-LISTED = {
-    name: f"iif(revised.first IS NULL, listed.{name}, revised.{name})"
-    for name in ("outcome", "quality", "sieve_size_mm")
-}
-"""Columns of the newest revisions, of `listed` and `revised`."""
+HAS_RESULT = "(lot IS NULL OR EXISTS (SELECT 1 FROM listed WHERE listed.seq = indexed_fields.seq))"
+"""Rows of `indexed_fields` but those of stones in lots whose results were removed."""
 
 _SLOTS = " ".join(
-    f"WHEN stones.sieve_size_mm > {each.low_mm} AND stones.sieve_size_mm <= {each.high_mm} THEN {each.slot_mm}"
+    f"WHEN sieve_size_mm > {each.low_mm} AND sieve_size_mm <= {each.high_mm} THEN {each.slot_mm}"
     for each in EN_933_3
 )
-FLAKY = f"(stones.min_feret_mm <= CASE {_SLOTS} END)"
+FLAKY = f"(min_feret_mm <= CASE {_SLOTS} END)"
 """Whether a stone passes the slot of its own fraction; null outside of all fractions."""
 NON_CUBICAL = (
-    f"CASE WHEN stones.sieve_size_mm BETWEEN {SHAPE_RANGE_MM[0]} AND {SHAPE_RANGE_MM[1]}"
-    f" THEN stones.max_feret_mm > {MAX_CUBICAL} * stones.min_feret_mm END"
+    f"CASE WHEN sieve_size_mm BETWEEN {SHAPE_RANGE_MM[0]} AND {SHAPE_RANGE_MM[1]}"
+    f" THEN max_feret_mm > {MAX_CUBICAL} * min_feret_mm END"
 )
 """Whether a stone is longer than three times its thickness; null outside of the range of the shape index."""
 
@@ -138,7 +134,7 @@ def particle(connection: sqlite3.Connection, key: str | int) -> Record | None:
     if isinstance(key, int):
         query = f"{FIRST} WHERE results.seq = ?1 UNION ALL {LATER} WHERE revisions.seq = ?1"
     else:
-        query = f"{NEWEST} WHERE results.id = ?1"
+        query = f"{NEWEST} WHERE id = ?1"
     row = connection.execute(query, (key,)).fetchone()
     return _record(*row) if row else None
 
@@ -164,32 +160,33 @@ def particles(
 ) -> list[Record]:
     """Return the newest `limit` stones that fit and first came before `before_seq`, each in its newest revision."""
     conditions = {
-        f"{LISTED['outcome']} = ?": wanted.outcome,
-        f"{LISTED['quality']} = ?": wanted.quality,
-        "listed.kind = ?": wanted.kind,
-        f"{LISTED['sieve_size_mm']} >= ?": wanted.min_sieve_size_mm,
-        f"{LISTED['sieve_size_mm']} <= ?": wanted.max_sieve_size_mm,
-        "listed.captured_at >= ?": wanted.since,
-        "listed.captured_at < ?": wanted.until,
-        "listed.seq IN (SELECT seq FROM stones WHERE lot = ?)": wanted.lot,
-        "(listed.seq >= (SELECT first_raw FROM store) OR listed.seq IN (SELECT seq FROM pins)) = ?": wanted.has_frames,
-        "stones.zingg_class = ?": wanted.zingg_class,
+        "outcome = ?": wanted.outcome,
+        "quality = ?": wanted.quality,
+        "kind = ?": wanted.kind,
+        "sieve_size_mm >= ?": wanted.min_sieve_size_mm,
+        "sieve_size_mm <= ?": wanted.max_sieve_size_mm,
+        "captured_at >= ?": wanted.since,
+        "captured_at < ?": wanted.until,
+        "lot = ?": wanted.lot,
+        "(seq >= (SELECT first_raw FROM store) OR seq IN (SELECT seq FROM pins)) = ?": wanted.has_frames,
+        "seq < ?": before_seq,
+    }
+    of_stones_alone = {
+        "zingg_class = ?": wanted.zingg_class,
         f"{FLAKY} = ?": wanted.is_flaky,
         f"{NON_CUBICAL} = ?": wanted.is_non_cubical,
-        "stones.volume_sd_percent >= ?": wanted.min_volume_sd_percent,
-        "stones.volume_sd_percent <= ?": wanted.max_volume_sd_percent,
-        "? IN (SELECT value FROM json_each(stones.quality_causes))": wanted.quality_cause,
-        "stones.algorithm_version = ?": wanted.algorithm_version,
-        "stones.body = ?": wanted.body,
-        "listed.seq < ?": before_seq,
+        "volume_sd_percent >= ?": wanted.min_volume_sd_percent,
+        "volume_sd_percent <= ?": wanted.max_volume_sd_percent,
+        "? IN (SELECT value FROM json_each(quality_causes))": wanted.quality_cause,
+        "algorithm_version = ?": wanted.algorithm_version,
+        "body = ?": wanted.body,
     }
+    conditions |= {f"kind = 'particle' AND {text}": value for text, value in of_stones_alone.items()}
     given = {text: value for text, value in conditions.items() if value is not None}
     rows = connection.execute(
-        f"{NEWEST} WHERE results.seq IN ("  # noqa: S608 - conditions are keys of the table above
-        "SELECT listed.seq FROM listed LEFT JOIN revised ON revised.first = listed.seq"
-        " LEFT JOIN stones ON stones.seq = listed.seq"
-        f" WHERE {' AND '.join(given) or 'TRUE'} ORDER BY listed.seq DESC LIMIT ?"
-        ") ORDER BY results.seq DESC",
+        f"{NEWEST} WHERE seq IN ("  # noqa: S608 - conditions are keys of the table above
+        f"SELECT seq FROM indexed_fields WHERE {' AND '.join((*given, HAS_RESULT))} ORDER BY seq DESC LIMIT ?"
+        ") ORDER BY seq DESC",
         (*given.values(), limit),
     ).fetchall()
     return [_record(*row) for row in rows]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.files.times import is_of_unset_clock, utc_now
+from service.store import indexed_fields
 from service.store.particle_files import keep_files, path_of, revision_folder
 from service.store.reads import particle
 
@@ -65,5 +66,6 @@ def add_revision(
         "INSERT INTO revisions (seq, first, revision, record) VALUES (?, ?, ?, ?)",
         (seq, first, revision, json.dumps(stored, allow_nan=False)),
     )
+    indexed_fields.update_row(connection, first)
     connection.execute("UPDATE files SET bytes = bytes + ? WHERE seq = ?", (sum(kept.values()), first))
     return int(seq)

@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import Concatenate, ParamSpec, TypeVar
 
 from service.base.errors import StoreError
-from service.store import audit
+from service.store import audit, indexed_fields
 
 BUSY_S = 0.5
 """Longest wait for another connection that has the database locked, before that is reported."""
 STEPS: Mapping[str, Callable[[sqlite3.Connection], None]] = {
-    "013_audit_urls.sql": audit.redact_configurations
+    "013_audit_urls.sql": audit.redact_configurations,
+    "015_indexed_fields.sql": indexed_fields.add_balls,
 }
 """What a migration does after its script, in the same transaction."""
 P = ParamSpec("P")
@@ -114,10 +115,13 @@ def objects(connection: sqlite3.Connection) -> Objects:
 
 
 @cache
-def expected_objects(version: int) -> Objects:
-    """Return the objects of a new database of this schema."""
+def expected_objects(version: int, columns: indexed_fields.Columns = ()) -> Objects:
+    """Return the objects of a new database of this schema, with these columns of fields, which a release has chosen."""
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
         _apply(connection, 0, version)
+        if present := indexed_fields.columns(connection):
+            added = tuple(each for each in columns if each not in present)
+            indexed_fields.add_columns(connection, added)
         return objects(connection)
 
 
@@ -129,6 +133,12 @@ def _migrate(connection: sqlite3.Connection) -> None:
             " start the newer one, or choose another store.dir"
         )
     _apply(connection, version, newest_version())
+    with transaction(connection):
+        indexed_fields.add_columns(connection, indexed_fields.missing_columns(connection))
+    is_left = True
+    while is_left:
+        with transaction(connection):
+            is_left = indexed_fields.fill_step(connection)
 
 
 def _apply(connection: sqlite3.Connection, version: int, target: int) -> None:

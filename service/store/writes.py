@@ -16,6 +16,7 @@ from pipeline.frames import BundleKind, GateCount, Trigger, rfc3339
 from service.base.errors import StoreError
 from service.results.fields import LossReason, Outcome
 from service.results.record import lost_record
+from service.store import indexed_fields
 from service.store.particle_files import (
     drop_raw,
     drop_sources,
@@ -248,6 +249,7 @@ def _end(
         "INSERT INTO results (seq, id, trigger, session, record) VALUES (?, ?, ?, ?, ?)",
         (seq, name, trigger, session, json.dumps(stored, allow_nan=False)),
     )
+    indexed_fields.add_row(connection, seq)
     if record["outcome"] != Outcome.LOST:
         connection.execute(
             "INSERT INTO files (seq, folder, bytes) VALUES (?, ?, ?)", (seq, folder, sum(kept.values()))

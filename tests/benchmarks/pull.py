@@ -22,6 +22,8 @@ from support.printed import show
 from support.reference_client import start_client
 from support.small_recording import write_small_recording
 
+from service.store.indexed_fields import add_row
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -65,6 +67,7 @@ def multiply_newest(database: Path, n: int) -> None:
                 "INSERT INTO results (seq, id, trigger, session, record) VALUES (?, ?, ?, ?, ?)",
                 (number, record["id"], key, session, json.dumps(record)),
             )
+            add_row(connection, number)
         connection.execute("UPDATE store SET last_seq = ?", (n,))
 
 

@@ -89,4 +89,4 @@ def make_old(state: Path) -> None:
         for table in ("results", "revisions"):
             query = f"UPDATE {table} SET record = json_set(record, '$.algorithm_version', ?)"  # noqa: S608 - two names
             database.execute(query, (OLD,))
-        database.execute("UPDATE stones SET algorithm_version = ?", (OLD,))
+        database.execute("UPDATE indexed_fields SET algorithm_version = ?", (OLD,))

@@ -161,7 +161,7 @@ def flip_identity(database: Path) -> None:
             do("UPDATE store SET last_seq = 3"),
             do("PRAGMA user_version = 9"),
             do("PRAGMA user_version = -1"),
-            do("DROP TABLE stones"),
+            do("DROP TABLE indexed_fields"),
             do("DROP TABLE alarms"),
             do("DROP TABLE events"),
             do("DROP TRIGGER audit_is_not_edited"),

@@ -92,6 +92,14 @@ async def backup(state_dir: Path, tmp_path: Path) -> Path:
             ),
             (do("CREATE VIEW v AS SELECT 1"), "view 'v' of its own"),
             (do("CREATE TABLE t (a)"), "table 't' of its own"),
+            (
+                do("ALTER TABLE indexed_fields ADD COLUMN c TEXT DEFAULT 'd'"),
+                "table indexed_fields is not that of schema",
+            ),
+            (
+                do("ALTER TABLE indexed_fields ADD COLUMN 'c; d' TEXT"),
+                "a column of indexed_fields is damaged",
+            ),
             (do("DROP TRIGGER audit_is_not_deleted"), "audit_is_not_deleted"),
             (do("DROP TABLE answers", "CREATE VIEW answers AS SELECT 1"), "answers"),
             (do("UPDATE files SET folder = '../../victim', removed = 'age'"), "folder of a particle"),
