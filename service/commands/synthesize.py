@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from drivers.files.recording import RecordingWriter
+from drivers.files.recording import RecordingSource, RecordingWriter
 from drivers.files.rig_file import read_rig, write_rig
 from pipeline.errors import MeshError
 from pipeline.fall import GRAVITY_MM_S2, Fall
@@ -19,7 +19,14 @@ from pipeline.frames import BundleKind, rfc3339
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, SurfaceKind, ball, body_from_mesh, cube, cylinder, sphere
-from pipeline.synthesis.bundles import FIRST_UTC, TRIGGER_DELAY_NS, render_bundle, render_empty, stream
+from pipeline.synthesis.bundles import (
+    FIRST_UTC,
+    TRIGGER_DELAY_NS,
+    Timing,
+    render_bundle,
+    render_empty,
+    stream,
+)
 from pipeline.synthesis.exposure import BLUR_PX, LENS_PRESETS, LensPreset
 from pipeline.synthesis.placement import SPREAD_MM, drop_across, tumble
 from pipeline.synthesis.renderer import simulate_rig
@@ -129,10 +136,13 @@ def command(
     names = [name.strip() for name in bodies.split(",")]
     writer = RecordingWriter(
         out,
-        camera_ids=true_rig.camera_ids,
-        image_size_px=true_rig.cameras[0].image_size_px,
-        rig=true_rig,
-        is_simulated=True,
+        RecordingSource(
+            camera_ids=true_rig.camera_ids,
+            rig=true_rig,
+            is_simulated=True,
+            camera_settings={"exposure_us": exposure_us},
+            gate_settings={"trigger_delay_ms": TRIGGER_DELAY_NS / 1e6, "rate_hz": rate_hz},
+        ),
         made_by={
             "command": "synthesize",
             "bodies": names,
@@ -146,8 +156,6 @@ def command(
             "rig": "rig.json took the images" + ("; rig-nominal.json is its design" if rig is None else ""),
             "truth": "truth.jsonl; truth/*.ply in world coordinates in the middle of the exposure",
         },
-        camera_settings={"exposure_us": exposure_us},
-        gate_settings={"trigger_delay_ms": TRIGGER_DELAY_NS / 1e6, "rate_hz": rate_hz},
     )
     with writer:
         sources = [_body_source(name, size_mm) for name in names]
@@ -156,13 +164,13 @@ def command(
             write_rig(writer.folder / "rig-nominal.json", design)
         (writer.folder / "truth").mkdir()
         with (writer.folder / "truth.jsonl").open("w", encoding="utf-8") as truth_lines:
-            period_ns = round(1e9 / rate_hz)
+            timing = Timing(period_ns=round(1e9 / rate_hz))
             numbers = range(1, backgrounds + count + 1)
             for sequence in track(numbers, "synthesizing", console=Console(stderr=True)):
                 index = sequence - 1 - backgrounds
                 if index < 0:
                     rng = stream(seed, BACKGROUND, sequence)
-                    writer.add(render_empty(simulated, rng, sequence=sequence, period_ns=period_ns))
+                    writer.add(render_empty(simulated, rng, sequence=sequence, timing=timing))
                     continue
                 source, round_number = sources[index % len(sources)], index // len(sources)
                 rng = stream(seed, PARTICLE, index)
@@ -179,9 +187,7 @@ def command(
                     rng,
                     sequence=sequence,
                     label=body.name,
-                    kind=body.kind,
-                    period_ns=period_ns,
-                    delay_ns=TRIGGER_DELAY_NS + round(late_ms * 1e6),
+                    timing=replace(timing, delay_ns=TRIGGER_DELAY_NS + round(late_ms * 1e6)),
                 )
                 truth = truth_of(placed, bundle, shape)
                 writer.add(bundle)
