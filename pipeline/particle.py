@@ -22,7 +22,8 @@ from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, Silhouette, SilhouetteSet, segment_all
 from pipeline.segmentation.optics import ViewOptics, observe_all
 from pipeline.segmentation.subtraction import SegmentationParameters
-from pipeline.uncertainty import Cause, QualityParameters, Uncertainty, evidence_of, uncertainty, verdict
+from pipeline.uncertainty import Cause, QualityParameters, Uncertainty, uncertainty, verdict
+from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT, Evidence, ViewEvidence, view_evidence
 from pipeline.view_mapper import ViewMapper
 from pipeline.views.consistency import Consistency, ConsistencyParameters, check_consistency
 from pipeline.views.dropped import DropCause, DroppedView
@@ -209,27 +210,19 @@ def measure_bundle(
         if by_number is Quality.GOOD and shows_several(silhouettes):
             by_number = Quality.REDUCED
         try:
-            hull_mesh, estimate, refinement = _body(bundle.frames, views, parameters, on_stage)
+            body = _body(bundle.frames, views, parameters, on_stage)
             angularity = _angularity([silhouettes[camera] for camera in silhouettes if camera not in dropped])
             measurement = _measure(
-                hull_mesh,
-                estimate,
-                refinement,
-                views,
-                optics,
-                consistency,
-                angularity,
-                rig.length_sd_percent,
-                parameters,
+                body, views, view_evidence(outlined, optics, consistency), angularity, rig, parameters
             )
         except (MeshError, ValueError, ArithmeticError) as err:
             raise RejectedError(RejectReason.IMPLAUSIBLE, f"the silhouettes bound no body: {err}") from err
         quality = verdict(measurement.uncertainty, by_number, parameters.quality)
         on_stage("measure")
-        mesh, greys = _measured_mesh(hull_mesh, estimate, refinement), None
+        greys = None
         if parameters.body.is_textured:
-            seen = None if refinement is None else refinement.views
-            greys = vertex_greys(mesh, seen or photo_views(bundle.frames, views, mesh.vertices_mm))
+            seen = None if body.refinement is None else body.refinement.views
+            greys = vertex_greys(body.mesh, seen or photo_views(bundle.frames, views, body.mesh.vertices_mm))
             on_stage("texture")
     except RejectedError as rejection:
         return ParticleResult(
@@ -248,11 +241,27 @@ def measure_bundle(
         consistency=consistency,
         quality=quality.quality,
         quality_causes=quality.causes,
-        mesh=mesh,
+        mesh=body.mesh,
         greys=greys,
-        hull=hull_mesh,
+        hull=body.hull,
         measurement=measurement,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Body:
+    """The visual hull of a stone, the body estimated within it and that refined, as far as they are asked for."""
+
+    hull: ParticleMesh
+    estimate: BodyEstimate | None = None
+    refinement: Refinement | None = None
+
+    @property
+    def mesh(self) -> ParticleMesh:
+        """The body that is measured."""
+        if self.refinement is not None:
+            return self.refinement.mesh
+        return self.hull if self.estimate is None else self.estimate.mesh
 
 
 def _body(
@@ -260,8 +269,8 @@ def _body(
     views: PreparedViews,
     parameters: PipelineParameters,
     on_stage: Callable[[str], None],
-) -> tuple[ParticleMesh, BodyEstimate | None, Refinement | None]:
-    """Return the visual hull of the views, the body estimated within it and that refined, as far as they are asked for.
+) -> _Body:
+    """Carve the visual hull of the views, and find the body within it as far as that is asked for.
 
     Raises
     ------
@@ -281,29 +290,18 @@ def _body(
     estimate = None if parameters.body.kind == "hull" else estimate_body(mesh, views)
     on_stage("estimate")
     if parameters.body.kind != "photo" or estimate is None or estimate.fallback is not None:
-        return mesh, estimate, None
+        return _Body(hull=mesh, estimate=estimate)
     refinement = refine_body(estimate, mesh, frames, views)
     on_stage("refine")
-    return mesh, estimate, refinement
-
-
-def _measured_mesh(
-    hull: ParticleMesh, estimate: BodyEstimate | None, refinement: Refinement | None
-) -> ParticleMesh:
-    if refinement is not None:
-        return refinement.mesh
-    return hull if estimate is None else estimate.mesh
+    return _Body(hull=mesh, estimate=estimate, refinement=refinement)
 
 
 def _measure(
-    hull_mesh: ParticleMesh,
-    estimate: BodyEstimate | None,
-    refinement: Refinement | None,
+    body: _Body,
     views: PreparedViews,
-    optics: Mapping[CameraId, ViewOptics],
-    consistency: Consistency,
+    seen: tuple[ViewEvidence, ...],
     angularity: float | None,
-    length_sd_percent: float | None,
+    rig: RigCalibration,
     parameters: PipelineParameters,
 ) -> ParticleMeasurement:
     """Measure the body and its uncertainty.
@@ -313,41 +311,39 @@ def _measure(
     MeshError, ValueError
         The mesh bounds no volume; or there are so few views that even a sphere's hull is open.
     """
-    mesh = _measured_mesh(hull_mesh, estimate, refinement)
+    mesh, estimate, refinement = body.mesh, body.estimate, body.refinement
     supported_share = 0.0 if refinement is None else refinement.supported_share
     corners_mm = NO_POINTS if estimate is None else estimate.corners_mm
-    around_mm = NO_POINTS if mesh is hull_mesh else hull_mesh.vertices_mm
+    around_mm = NO_POINTS if mesh is body.hull else body.hull.vertices_mm
     shape = measure_shape(mesh.vertices_mm, mesh.faces, corners_mm, around_mm)
     if estimate is None or estimate.fallback is not None:
-        body: BodyKind = "hull"
+        kind: BodyKind = "hull"
         hull = HullMeasurement(volume_mm3=shape.volume_mm3, surface_area_mm2=shape.surface_area_mm2)
         volume_mm3, volume_model = hull.volume_mm3, "none"
         if parameters.carving.bounds_by_edges:  # corrected by the least excess that any hull has
             volume_mm3, volume_model = volume_mm3 / _sphere_excess(shape, views), "sphere"
     else:
         model = parameters.measuring.volume_model
-        body, volume_model = "estimate", model.id
+        kind, volume_model = "estimate", model.id
         hull = HullMeasurement(volume_mm3=estimate.hull_volume_mm3, surface_area_mm2=estimate.hull_area_mm2)
         volume_mm3 = model.volume_mm3(hull.volume_mm3, estimate.volume_mm3)
         if refinement is not None and refinement.fallback is None:
-            body = "photo"  # what pixels show is corrected by nothing that other bodies have on average
+            kind = "photo"  # what pixels show is corrected by nothing that other bodies have on average
             hidden = volume_mm3 / estimate.volume_mm3
             volume_mm3 = shape.volume_mm3 * (supported_share + (1 - supported_share) * hidden)
-    evidence = evidence_of(
-        views.with_outline(),
-        optics,
-        consistency,
+    evidence = Evidence(
+        views=seen,
         volume_mm3=volume_mm3,
         area_mm2=shape.surface_area_mm2,
         hull_mm3=hull.volume_mm3,
-        is_estimated=body != "hull",
+        is_estimated=kind != "hull",
         supported_share=supported_share,
         relief_mm=0.0 if refinement is None else refinement.relief_mm,
-        length_sd_percent=length_sd_percent,
+        length_sd_percent=LENGTH_SD_PERCENT if rig.length_sd_percent is None else rig.length_sd_percent,
     )
     density = parameters.measuring.density_g_cm3
     return ParticleMeasurement(
-        body=body,
+        body=kind,
         supported_share=None if refinement is None else supported_share,
         refinement_fallback=None if refinement is None else refinement.fallback,
         shape=shape,

@@ -5,7 +5,7 @@
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -16,12 +16,14 @@ from drivers.files.bundle_header import BundleHeader
 from drivers.files.durable import new_folder, read_json, write_json
 from drivers.files.rig_file import read_rig, write_rig
 from drivers.files.times import utc_now
+from pipeline.fall import Fall
 from pipeline.frames import CAMERA_ID, BundleKind, CameraId, FrameBundle, Trigger
 from pipeline.rig.cameras import RigCalibration
 
 __all__ = [
     "BundleHeader",
     "Recording",
+    "RecordingSource",
     "RecordingWriter",
     "open_recording",
     "playback_order",
@@ -126,6 +128,29 @@ def unreadable_triggers(recording: Recording) -> list[tuple[Trigger, RecordingEr
     ]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingSource:
+    """Description of the rig that is recorded."""
+
+    camera_ids: tuple[CameraId, ...]  # in the order of the pages of bundle files
+    rig: RigCalibration
+    is_simulated: bool
+    camera_settings: Mapping[str, Any] = field(default_factory=dict)  # JSON, as recording.json has them
+    gate_settings: Mapping[str, Any] = field(default_factory=dict)
+    fall: Fall = field(default_factory=Fall)
+
+    @property
+    def image_size_px(self) -> tuple[int, int]:
+        """Width and height of all images."""
+        return self.rig.cameras[0].image_size_px
+
+    @property
+    def bundle_bytes(self) -> int:
+        """Largest size of a bundle on disk."""
+        width_px, height_px = self.image_size_px
+        return len(self.camera_ids) * (width_px * height_px + 4096)
+
+
 class RecordingWriter:
     """Writes a recording as a context manager: the folder takes its name when the block ends without error.
 
@@ -140,44 +165,36 @@ class RecordingWriter:
     def __init__(
         self,
         path: Path,
+        source: RecordingSource,
         *,
-        camera_ids: Sequence[CameraId],
-        image_size_px: tuple[int, int],
-        rig: RigCalibration | None,
-        is_simulated: bool,
         made_by: Mapping[str, Any],
-        rig_name: str = "",
-        camera_settings: Mapping[str, Any] | None = None,
-        gate_settings: Mapping[str, Any] | None = None,
         compression: Compression = "zstd",
     ) -> None:
+        self.path = path
         self.folder = path  # until the block is entered
+        self.made_by = dict(made_by)
         self._creation = new_folder(path)
-        self._camera_ids = tuple(camera_ids)
-        self._image_size_px = image_size_px
-        self._rig = rig
+        self._source = source
         self._compression: Compression = compression
         self._names: set[str] = set()
         self._document = {
             "format": FORMAT,
             "created_at": utc_now("seconds"),
-            "cameras": list(camera_ids),
-            "image_size_px": list(image_size_px),
-            "rig_name": rig_name or (rig.name if rig else ""),
-            "is_simulated": is_simulated,
-            "camera_settings": dict(camera_settings or {}),
-            "gate_settings": dict(gate_settings or {}),
-            "made_by": dict(made_by),
+            "cameras": list(source.camera_ids),
+            "image_size_px": list(source.image_size_px),
+            "rig_name": source.rig.name,
+            "is_simulated": source.is_simulated,
+            "camera_settings": dict(source.camera_settings),
+            "gate_settings": dict(source.gate_settings),
+            "made_by": self.made_by,
         }
-        if rig is not None:
-            _require_rig_of(path / "rig.json", rig, self._camera_ids, image_size_px)
+        _require_rig_of(path / "rig.json", source.rig, source.camera_ids, source.image_size_px)
 
     def __enter__(self) -> Self:
         self.folder = self._creation.__enter__()
         (self.folder / "bundles").mkdir()
         write_json(self.folder / "recording.json", self._document)
-        if self._rig is not None:
-            write_rig(self.folder / "rig.json", self._rig)
+        write_rig(self.folder / "rig.json", self._source.rig)
         return self
 
     def add(self, bundle: FrameBundle) -> None:
@@ -194,9 +211,11 @@ class RecordingWriter:
         if bundle.name in self._names:
             raise RecordingError(path, f"the recording already has a bundle {bundle.name}")
         for frame in bundle.frames.values():
-            if (size_px := frame.image.shape[::-1]) != self._image_size_px:
-                raise RecordingError(path, f"camera {frame.camera}: {_sizes(size_px, self._image_size_px)}")
-        write_bundle(path, bundle, self._camera_ids, compression=self._compression)
+            if (size_px := frame.image.shape[::-1]) != self._source.image_size_px:
+                raise RecordingError(
+                    path, f"camera {frame.camera}: {_sizes(size_px, self._source.image_size_px)}"
+                )
+        write_bundle(path, bundle, self._source.camera_ids, compression=self._compression)
         self._names.add(bundle.name)
 
     def __exit__(

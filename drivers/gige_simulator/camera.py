@@ -22,7 +22,7 @@ from drivers.gige_simulator.faults import Faults
 from drivers.gige_simulator.features import Feature
 from drivers.gige_simulator.gvcp_channel import GvcpChannel, Peer
 from drivers.gige_simulator.gvcp_port import GvcpPort
-from drivers.gige_simulator.imaging import Exposure, ImageSource
+from drivers.gige_simulator.imaging import Exposure, ImageSource, Imaging
 from drivers.gige_simulator.registers import Value
 from drivers.gige_simulator.sensor import Sensor, Strobe
 from drivers.gige_simulator.stream import StreamChannel
@@ -70,14 +70,12 @@ class SimulatedCamera:
             self.faults, seed=design.seed, is_connected=self._is_connected, uplink=uplink
         )
         self._sensor = Sensor(
-            design.id,
+            design,
             registers=self._registers,
             clock=self._clock,
             stream=self._stream,
             faults=self.faults,
-            source=source,
-            link_bytes_s=design.link_bytes_s,
-            note=self._note,
+            imaging=Imaging(self._registers, faults=self.faults, source=source, note=self._note),
             on_strobe=on_strobe,
         )
         self._device = CameraDevice(

@@ -9,11 +9,12 @@ from itertools import count
 
 from drivers.gige_simulator.clock import CameraClock
 from drivers.gige_simulator.counters import SensorTally
+from drivers.gige_simulator.design import CameraDesign
 from drivers.gige_simulator.faults import DOUBLE_AFTER_MS, Faults
 from drivers.gige_simulator.feature_table import USER_OUTPUTS
 from drivers.gige_simulator.features import CHUNKS
 from drivers.gige_simulator.gvsp import Block, packets
-from drivers.gige_simulator.imaging import Exposure, ImageSource, Imaging
+from drivers.gige_simulator.imaging import Exposure, Imaging
 from drivers.gige_simulator.registers import Registers
 from drivers.gige_simulator.stream import StreamChannel
 from drivers.gige_simulator.triggering import LINE_TIME_NS, Plan, TriggerInput
@@ -39,25 +40,23 @@ class Sensor:
 
     def __init__(
         self,
-        camera: CameraId,
+        design: CameraDesign,
         *,
         registers: Registers,
         clock: CameraClock,
         stream: StreamChannel,
         faults: Faults,
-        source: ImageSource,
-        link_bytes_s: float,
-        note: Callable[[str], None],
+        imaging: Imaging,
         on_strobe: Callable[[Strobe], None] | None,
     ) -> None:
         self.tally = SensorTally()
-        self._camera = camera
+        self._camera = design.id
         self._registers = registers
         self._clock = clock
         self._stream = stream
         self._faults = faults
-        self._link_bytes_s = link_bytes_s
-        self._imaging = Imaging(registers, faults=faults, source=source, note=note)
+        self._link_bytes_s = design.link_bytes_s
+        self._imaging = imaging
         self._on_strobe = on_strobe
         self._trigger = TriggerInput(registers)
         self._changed = threading.Condition()

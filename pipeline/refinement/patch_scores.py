@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Directions, Floats, Indices32, PointsMM, Singles, Values
 from pipeline.compiled import compiled, compiled_within
+from pipeline.refinement.passes import NOISE_GREY, Pass
 from pipeline.refinement.sightings import PhotoViews, project_into
 
 
@@ -20,46 +21,46 @@ def patch_samples(n_samples: int) -> tuple[Values, Values]:
     return np.exp(-(steps**2)), steps
 
 
+class Patches(NamedTuple):
+    """Square patches of the surface around K nodes, and the views that see each."""
+
+    points_mm: PointsMM  # their centres
+    inward: Directions
+    axes: Annotated[Floats, "(K, 2, 3)"]  # unit vectors that span them
+    half_mm: float  # of their edge
+    seen_by: Indices32  # (K, V) numbers of views, -1 beyond the last
+    weights: Singles  # (K, V) of these
+
+
 def patch_scores(
-    views: PhotoViews,
-    scale: float,
-    points_mm: PointsMM,
-    inward: Directions,
-    axes: Annotated[Floats, "(K, 2, 3)"],
-    seen_by: tuple[Indices32, Singles],
-    depths_mm: Values,
-    half_mm: float,
-    n_samples: int,
-    noise_grey: float,
-    pairs_share: float,
-    even_score: float,
+    views: PhotoViews, patches: Patches, depths_mm: Values, each: Pass
 ) -> Annotated[Singles, "(K, L)"]:
-    """Return the score of each node at each depth along `inward`: mean ZNCC over pairs of views, 0 to 1.
+    """Return the score of each patch at each depth along `inward` in a pass: mean ZNCC over pairs of views, 0 to 1.
 
     Only the `pairs_share` of pairs that are most alike count: deep in a dent some views see its rim instead.
     Patches without any texture, which are alike as far as one can tell, score `even_score` at most.
-    `axes` span the patches, in images at `scale` of their size; `seen_by` are views and weights of each node.
     """
-    gains, steps = patch_samples(n_samples)
+    gains, steps = patch_samples(each.n_samples)
     offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     weights = np.outer(gains, gains).ravel()
-    scores = np.zeros((len(points_mm), len(depths_mm)), np.float32)
+    scores = np.zeros((len(patches.points_mm), len(depths_mm)), np.float32)
     _score(
-        views.regions if scale == 1 else views.halves,
+        views.regions if each.scale == 1 else views.halves,
         views.lenses,
         views.R,
         views.t_mm,
-        scale,
-        points_mm,
-        inward,
-        axes,
-        *seen_by,
+        each.scale,
+        patches.points_mm,
+        patches.inward,
+        patches.axes,
+        patches.seen_by,
+        patches.weights,
         depths_mm,
-        (half_mm * offsets).astype(np.float32),
+        (patches.half_mm * offsets).astype(np.float32),
         (weights / weights.sum()).astype(np.float32),
-        np.float32(noise_grey**2),
-        np.float32(even_score * noise_grey**2),
-        np.float32(pairs_share),
+        np.float32(NOISE_GREY**2),
+        np.float32(each.even_score * NOISE_GREY**2),
+        np.float32(each.pairs_share),
         scores,
     )
     return scores

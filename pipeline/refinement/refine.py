@@ -33,7 +33,6 @@ from pipeline.refinement.nodes import Nodes, smoothed, spread_nodes, vertex_norm
 from pipeline.refinement.passes import (
     FULL_SIZE_MM,
     LEAST_SCALE,
-    NOISE_GREY,
     NORMAL_ROUNDS,
     OLDER,
     PASSES,
@@ -42,7 +41,7 @@ from pipeline.refinement.passes import (
     TRUNCATED_MM,
     Pass,
 )
-from pipeline.refinement.patch_scores import patch_samples, patch_scores
+from pipeline.refinement.patch_scores import Patches, patch_samples, patch_scores
 from pipeline.refinement.propagation import propagate
 from pipeline.refinement.shift_field import Field, carried_over, vertex_shifts
 from pipeline.refinement.sightings import PhotoViews, depth_maps, photo_views, sightings
@@ -160,20 +159,8 @@ def _passed(level: _Level, before: Field | None, views: PhotoViews, scale: float
     maps = depth_maps(views, points_mm)
     seen_by = sightings(views, maps, points_mm, normals, half_mm, each.max_views)
     depths_mm = each.depths_mm(size_mm)
-    scores = patch_scores(
-        views,
-        each.scale,
-        points_mm,
-        -nodes.normals,
-        tangent_axes(normals),
-        seen_by,
-        depths_mm,
-        half_mm,
-        each.n_samples,
-        NOISE_GREY,
-        each.pairs_share,
-        each.even_score,
-    )
+    patches = Patches(points_mm, -nodes.normals, tangent_axes(normals), half_mm, *seen_by)
+    scores = patch_scores(views, patches, depths_mm, each)
     costs = gate[:, None] * (1 - scores) + each.staying * np.abs(depths_mm)
     costs += PIN * touches[:, None] * np.abs(base_mm[:, None] + depths_mm)
     stiffness = each.stiffness / nodes.spacing_mm

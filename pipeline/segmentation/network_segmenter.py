@@ -23,8 +23,6 @@ from pipeline.segmentation.network_trimap import (
     CORE,
     HALO_CONTRAST,
     POSSIBLE,
-    SURE,
-    SURELY_NOT,
     UNKNOWN,
     find_halo,
     network_trimap,
@@ -34,6 +32,8 @@ from pipeline.segmentation.pixel_comparison import sampled
 from pipeline.segmentation.prediction import (
     EDGE_BLUR_PX,
     NETWORK_BLUR_PX,
+    SURE,
+    SURELY_NOT,
     Prediction,
     dilated,
     eroded,
@@ -147,19 +147,7 @@ class NetworkSegmenter:
         expected = np.maximum(prediction.expected, MIN_EXPECTED)
         relative = np.divide(prediction.image, expected, dtype=np.float32)
         light = extrapolated(relative, outside.view(np.uint8))
-        bits = network_trimap(
-            prediction.image,
-            prediction.expected * light,
-            extrapolated(prediction.image, core),
-            prediction.probability,
-            core,
-            possible,
-            prediction.undecided,
-            p.dark_share,
-            p.min_contrast,
-            noise,
-        )
-        return bits, light
+        return network_trimap(prediction, light, core, possible, p, noise), light
 
     def _delineate(self, seen: GreyImage, lit: LitBackground, bits: GreyImage) -> Delineation:
         """Delineate the body in the part (h, w) of an image that is in a region, of trimap bits (height, width)."""

@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 
 from pipeline.arrays import FloatImage, GreyImage
+from pipeline.segmentation.expected_view import extrapolated
 from pipeline.segmentation.lit_background import MIN_SIDE_PX, LitBackground
+from pipeline.segmentation.prediction import SURE, SURELY_NOT, Prediction
+from pipeline.segmentation.subtraction import SegmentationParameters
 
 CORE, POSSIBLE, UNKNOWN = np.uint8(1), np.uint8(2), np.uint8(4)
 """Bits of a pixel, the masks that `trimap_of` takes."""
-SURE, SURELY_NOT = np.float32(0.9), np.float32(0.1)
-"""P(body) from which on a pixel is body, and up to which it is not; between, the network does not know."""
 AGREED = np.float32(0.7)
 """Coverage by grey levels of a pixel that the network is sure of; below, the two contradict each other."""
 NOISE_SIGMAS = 4.0
@@ -28,37 +29,31 @@ HALO_CONTRAST = 0.06
 
 
 def network_trimap(
-    image: FloatImage,
-    expected: FloatImage,
-    level: FloatImage,
-    probability: FloatImage,
+    prediction: Prediction,
+    light: FloatImage,
     core: GreyImage,
     possible: GreyImage,
-    undecided: GreyImage,
-    dark: float,
-    min_contrast: float,
+    parameters: SegmentationParameters,
     noise: float,
 ) -> GreyImage:
     """Return the bits `CORE`, `POSSIBLE` and `UNKNOWN` of each pixel (h, w); unknown: grey levels mean nothing.
 
     Parameters
     ----------
-    image, expected, level
-        Grey levels: seen, without a body, and of the body.
-    probability
-        P(body), as the network says.
-    core, possible, undecided
-        Masks: surely body, surely nothing outside of it, and where the network does not know.
-    dark
-        What is expected to be darker is an aperture or a screw, before which a dark body is not seen.
-    min_contrast
-        Least contrast of the body, as a share of the expected.
+    light
+        Light of the image relative to that of the expected view.
+    core, possible
+        Masks: surely body, and surely nothing outside of it.
+    parameters
+        What is expected to be darker than `dark_share` is an aperture or a screw, before which a dark body is not seen.
     noise
-        Standard deviation of a pixel.
+        Standard deviation of a pixel as a share of the wall.
     """
+    image, probability = prediction.image, prediction.probability
+    expected, level = prediction.expected * light, extrapolated(image, core)
     is_core, contrast, covered = core != 0, expected - level, expected - image
-    least = np.maximum(np.float32(min_contrast) * expected, np.float32(NOISE_SIGMAS * noise))
-    is_unknown = (undecided != 0) | (expected < dark) & (np.abs(covered) < least)
+    least = np.maximum(np.float32(parameters.min_contrast) * expected, np.float32(NOISE_SIGMAS * noise))
+    is_unknown = (prediction.undecided != 0) | (expected < parameters.dark_share) & (np.abs(covered) < least)
     height, cover = np.abs(contrast), covered * np.where(contrast < 0, np.float32(-1), np.float32(1))
     is_refuted = (probability > SURE) & (cover < AGREED * height)
     is_refuted |= (probability < SURELY_NOT) & (cover > (1 - AGREED) * height)

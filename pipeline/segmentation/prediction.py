@@ -10,10 +10,11 @@ from pipeline.arrays import FloatImage, GreyImage
 from pipeline.segmentation.expected_view import ExpectedView
 from pipeline.segmentation.network import MAX_RELATIVE, Network
 from pipeline.segmentation.network_region import Box, Region
-from pipeline.segmentation.network_trimap import SURE, SURELY_NOT
 from pipeline.segmentation.silhouette import MARGIN_PX, ViewStatus
 from pipeline.segmentation.subtraction import SegmentationParameters
 
+SURE, SURELY_NOT = np.float32(0.9), np.float32(0.1)
+"""P(body) from which on a pixel is body, and up to which it is not; between, the network does not know."""
 NETWORK_BLUR_PX = 2
 """Blur of the network itself, in its pixels: its edge may be this far from the true one."""
 EDGE_BLUR_PX = 4

@@ -6,13 +6,14 @@ clock has its own zero.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from types import MappingProxyType
 
 import numpy as np
 
 from pipeline.fall import pulse_width_ns
-from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger, rfc3339
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger, rfc3339
 from pipeline.synthesis.disturbance import Disturbance
 from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, photograph
 
@@ -34,6 +35,14 @@ def stream(seed: int, *key: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Times between the triggers of a recording, and from each to its exposure."""
+
+    period_ns: int = PERIOD_NS
+    delay_ns: int = TRIGGER_DELAY_NS
+
+
 def render_bundle(
     bodies: Sequence[PlacedBody],
     simulated: SimulatedRig,
@@ -41,27 +50,56 @@ def render_bundle(
     *,
     sequence: int,
     label: str | None = None,
-    kind: BundleKind = BundleKind.PARTICLE,
-    period_ns: int = PERIOD_NS,
-    delay_ns: int = TRIGGER_DELAY_NS,
+    timing: Timing = Timing(),
     disturbances: Mapping[CameraId, Disturbance] = MappingProxyType({}),
 ) -> FrameBundle:
     """Return bundle number `sequence` (from 1) of a recording, named such as `000007-flaky`.
 
-    The cameras expose `delay_ns` after the gate.
+    It is of the kind of its first body.
     """
     images = photograph(bodies, simulated, rng, disturbances)
-    elapsed_ns = (sequence - 1) * period_ns
-    trigger_ns = FIRST_NS + elapsed_ns
-    trigger = Trigger(
+    kind = bodies[0].body.kind if bodies else BundleKind.PARTICLE
+    trigger = replace(
+        _trigger(sequence, kind, label or kind.value, timing), pulse_width_ns=_pulse_width_ns(bodies, rng)
+    )
+    return _exposed(images, trigger, simulated, timing, rng)
+
+
+def render_empty(
+    simulated: SimulatedRig,
+    rng: np.random.Generator,
+    *,
+    sequence: int,
+    timing: Timing = Timing(),
+    disturbances: Mapping[CameraId, Disturbance] = MappingProxyType({}),
+) -> FrameBundle:
+    """Return a bundle of kind `background`: the empty rig, exposed on purpose."""
+    images = photograph([], simulated, rng, disturbances)
+    kind = BundleKind.BACKGROUND
+    return _exposed(images, _trigger(sequence, kind, kind.value, timing), simulated, timing, rng)
+
+
+def _trigger(sequence: int, kind: BundleKind, label: str, timing: Timing) -> Trigger:
+    elapsed_ns = (sequence - 1) * timing.period_ns
+    return Trigger(
         sequence=sequence,
-        received_ns=trigger_ns,
+        received_ns=FIRST_NS + elapsed_ns,
         device_ns=elapsed_ns + 40_000_000,
         utc=rfc3339(FIRST_UTC + timedelta(microseconds=elapsed_ns / 1000)),
-        pulse_width_ns=None if kind is BundleKind.BACKGROUND else _pulse_width_ns(bodies, rng),
         kind=kind,
-        name=f"{sequence:06d}-{label or kind.value}",
+        name=f"{sequence:06d}-{label}",
     )
+
+
+def _exposed(
+    images: Mapping[CameraId, Image],
+    trigger: Trigger,
+    simulated: SimulatedRig,
+    timing: Timing,
+    rng: np.random.Generator,
+) -> FrameBundle:
+    """Return the bundle of images exposed `timing.delay_ns` after a trigger, stamped as the cameras do."""
+    elapsed_ns = trigger.received_ns - FIRST_NS
     exposure_ns = round(simulated.parameters.exposure_us * 1000)
     frames = {}
     for position, (camera, image) in enumerate(images.items()):
@@ -70,31 +108,11 @@ def render_bundle(
         frames[camera] = Frame(
             camera=camera,
             image=image,
-            frame_id=(first_frame_id + sequence - 2) % LAST_FRAME_ID + 1,
-            device_ns=clock_ns + elapsed_ns + delay_ns + int(rng.integers(-500, 500)),
-            received_ns=trigger_ns + delay_ns + exposure_ns + TRANSFER_NS + jitter_ns,
+            frame_id=(first_frame_id + trigger.sequence - 2) % LAST_FRAME_ID + 1,
+            device_ns=clock_ns + elapsed_ns + timing.delay_ns + int(rng.integers(-500, 500)),
+            received_ns=trigger.received_ns + timing.delay_ns + exposure_ns + TRANSFER_NS + jitter_ns,
         )
     return FrameBundle(trigger=trigger, frames=frames)
-
-
-def render_empty(
-    simulated: SimulatedRig,
-    rng: np.random.Generator,
-    *,
-    sequence: int,
-    period_ns: int = PERIOD_NS,
-    disturbances: Mapping[CameraId, Disturbance] = MappingProxyType({}),
-) -> FrameBundle:
-    """Return a bundle of kind `background`: the empty rig, exposed on purpose."""
-    return render_bundle(
-        [],
-        simulated,
-        rng,
-        sequence=sequence,
-        kind=BundleKind.BACKGROUND,
-        period_ns=period_ns,
-        disturbances=disturbances,
-    )
 
 
 def without_views(bundle: FrameBundle, cameras: Sequence[CameraId], reason: str) -> FrameBundle:

@@ -1,7 +1,7 @@
 """Uncertainty of one measured stone, by cause, and the word for it."""
 
 from pipeline.uncertainty.causes import Cause
-from pipeline.uncertainty.evidence import Evidence, ViewEvidence, evidence_of
+from pipeline.uncertainty.evidence import Evidence, ViewEvidence
 from pipeline.uncertainty.model import Uncertainty, uncertainty
 from pipeline.uncertainty.word import QualityParameters, Verdict, verdict
 
@@ -12,7 +12,6 @@ __all__ = [
     "Uncertainty",
     "Verdict",
     "ViewEvidence",
-    "evidence_of",
     "uncertainty",
     "verdict",
 ]

@@ -57,20 +57,10 @@ class Evidence:
     relief_mm: float = 0.0  # rms of the finest relief that they show there
 
 
-def evidence_of(
-    views: PreparedViews,
-    optics: Mapping[CameraId, ViewOptics],
-    consistency: Consistency,
-    *,
-    volume_mm3: float,
-    area_mm2: float,
-    hull_mm3: float,
-    is_estimated: bool,
-    length_sd_percent: float | None = None,
-    supported_share: float = 0.0,
-    relief_mm: float = 0.0,
-) -> Evidence:
-    """Collect what is known of the views that carved a stone, and of the volumes that they leave."""
+def view_evidence(
+    views: PreparedViews, optics: Mapping[CameraId, ViewOptics], consistency: Consistency
+) -> tuple[ViewEvidence, ...]:
+    """Collect the evidence of each of the views that carved a stone."""
     motion_px = _motion_sigma_px(views.silhouettes)
     seen = []
     for camera, silhouette in zip(views.calibrations, views.silhouettes, strict=True):
@@ -92,16 +82,7 @@ def evidence_of(
                 residual_px=consistency.residuals_px.get(camera.id, 0.0),
             )
         )
-    return Evidence(
-        views=tuple(seen),
-        volume_mm3=volume_mm3,
-        area_mm2=area_mm2,
-        hull_mm3=hull_mm3,
-        is_estimated=is_estimated,
-        length_sd_percent=LENGTH_SD_PERCENT if length_sd_percent is None else length_sd_percent,
-        supported_share=supported_share,
-        relief_mm=relief_mm,
-    )
+    return tuple(seen)
 
 
 def _undecided_share(silhouette: Silhouette) -> float:

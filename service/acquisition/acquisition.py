@@ -11,7 +11,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AsyncExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from drivers.factory import Devices
@@ -64,41 +64,48 @@ class TriggerLog(Protocol):
         """Record that the gate was disarmed: what it counts from now on is not missed."""
         ...
 
+    @property
+    def trouble(self) -> object | None:
+        """Why nothing can be recorded now, in words as text; None when it can."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AcquisitionParameters:
+    """Parameters of the acquisition in one session."""
+
+    session: int
+    bundling: BundlingParameters
+    min_cameras: int
+    empty_rig: EmptyRigParameters
+
 
 class Acquisition:
     """Runs the rig: `run` is its task, `request` arms and disarms it, `stop` ends it in order.
 
     Bundles are passed to `on_bundle` in the order of their triggers; `on_progress` is called at every turn of
-    the pump. While `is_ball` returns True, triggers are of calibration balls instead of stones. While `store_trouble`
-    returns why results cannot be stored, the acquisition is held. `on_state` is told each new state, and why it is
-    held.
+    the pump. While `is_ball` returns True, triggers are of calibration balls instead of stones. While triggers cannot
+    be recorded, the acquisition is held. `on_state` is called with each new state, and why it is held.
     """
 
     def __init__(
         self,
         devices: Devices,
+        parameters: AcquisitionParameters,
         *,
-        session: int,
         triggers: TriggerLog,
-        bundling: BundlingParameters,
-        min_cameras: int,
-        empty_rig: EmptyRigParameters = EmptyRigParameters(at_start=0, every_s=0),  # noqa: B008 - frozen
         is_ball: Callable[[], bool] = lambda: False,
         on_bundle: Callable[[FrameBundle], None],
         on_progress: Callable[[], None],
-        store_trouble: Callable[[], str | None] = lambda: None,
         on_state: Callable[[AcquisitionState, str | None], None] = lambda state, trouble: None,
     ) -> None:
         self._devices = devices
-        self._session = session
+        self._parameters = parameters
         self._triggers = triggers
-        self._bundling = bundling
-        self._min_cameras = min(min_cameras, len(devices.cameras))
-        self._empty_rig = empty_rig
+        self._min_cameras = min(parameters.min_cameras, len(devices.cameras))
         self._is_ball = is_ball
         self._on_bundle = on_bundle
         self._on_progress = on_progress
-        self._store_trouble = store_trouble
         self._on_state = on_state
         self._arm_requested = asyncio.Event()
         self._disarm_requested = asyncio.Event()
@@ -111,7 +118,7 @@ class Acquisition:
         self._shown_camera = ShownCamera()
         self._using_cameras = asyncio.Lock()
         """Held while it is decided who may open cameras: the armed rig, or `show_camera`."""
-        self._gate_watch = GateWatch(bundling)
+        self._gate_watch = GateWatch(parameters.bundling)
         self.counters = BundlingCounters()
         """Counts since the rig was last armed."""
         self._inbox: EventInbox | None = None
@@ -200,7 +207,7 @@ class Acquisition:
             if not self._disarm_requested.is_set():
                 async with asyncio.TaskGroup() as tasks:
                     await self._run_armed(tasks)
-                await self._triggers.forget_gate_count(self._session)
+                await self._triggers.forget_gate_count(self._parameters.session)
             self._set_state(AcquisitionState.DISARMED)
             self.settled.set()
 
@@ -218,7 +225,7 @@ class Acquisition:
         self._set_state(AcquisitionState.ARMING)
         self.is_active = True
         inbox = self._inbox = EventInbox(asyncio.get_running_loop(), INBOX_TRIGGERS * len(self.cameras.ids))
-        assembler = BundleAssembler(self.cameras.ids, self._bundling)
+        assembler = BundleAssembler(self.cameras.ids, self._parameters.bundling)
         self.counters = assembler.counters
         self._last_turn_ns = None
         self.cameras.use_counters(assembler.counters)
@@ -253,7 +260,9 @@ class Acquisition:
     def _hold_or_release(self) -> None:
         """Set the state to held or armed, depending on whether the next stone can be measured."""
         trouble = self.gate.last_error if self.gate.state is DeviceState.LOST else None
-        trouble = trouble or self.cameras.trouble(self._min_cameras) or self._store_trouble()
+        trouble = trouble or self.cameras.trouble(self._min_cameras)
+        if not trouble and (unrecorded := self._triggers.trouble) is not None:
+            trouble = f"store: {unrecorded}"
         if trouble and not self.trouble:  # one alarm a cause: its consequences are not logged
             log.error("acquisition held: %s", trouble)
         elif self.trouble and not trouble:
@@ -270,10 +279,10 @@ class Acquisition:
             return (
                 self.state is AcquisitionState.ARMED
                 and assembler.next_deadline_ns is None
-                and time.monotonic() - self._last_trigger_s > max(for_s, self._bundling.quiet_s)
+                and time.monotonic() - self._last_trigger_s > max(for_s, self._parameters.bundling.quiet_s)
             )
 
-        await expose_empty_rig(self._empty_rig, fire, is_quiet)
+        await expose_empty_rig(self._parameters.empty_rig, fire, is_quiet)
 
     async def _pump(self, inbox: EventInbox, assembler: BundleAssembler) -> DeviceEvent | None:
         """Handle and return the next event; if none comes, close the bundles that are due and return None."""
@@ -355,7 +364,7 @@ class Acquisition:
         """Make triggers durable in one transaction, and return them with their names."""
         named = {str(trigger.name): trigger for trigger in map(self._with_name, triggers)}
         if named:
-            await self._triggers.record_triggers(self._session, named, gate_count)
+            await self._triggers.record_triggers(self._parameters.session, named, gate_count)
         return list(named.values())
 
     def _with_name(self, trigger: Trigger) -> Trigger:

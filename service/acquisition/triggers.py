@@ -8,6 +8,8 @@ from pipeline.frames import GateCount, Trigger
 class NoAccounting:
     """A `TriggerLog` that keeps nothing."""
 
+    trouble = None
+
     async def record_triggers(
         self, session: int, triggers: Mapping[str, Trigger], gate_count: GateCount | None
     ) -> None:

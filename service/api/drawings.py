@@ -60,7 +60,7 @@ def _curve_svg(
             first_name=name,
             name=lot_name(other, version, wanted.language),
             passing_percent=passing_of(
-                stones_of_lot(connection, other, choice),
+                stones_of_lot(connection, other, choice).lot,
                 [step.sieve_mm for step in figures.curve],
                 wanted.figures.measured,
             ),

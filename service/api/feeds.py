@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from pydantic import BaseModel, Field
@@ -88,32 +89,29 @@ def choosing(feed: Feed, *more: Names | bool) -> Feed:
 
 
 async def page_after(context: ApiContext, feed: Feed, after: int, limit: int, wait_s: float = 0) -> FeedPage:
-    """Return the page after `after`, as soon as there is something on it or `wait_s` are over."""
-    if wait_s == 0 or after != feed.last(context.store):
-        page = await page_now(context, feed, after, limit)
-        if wait_s == 0 or after != page.last_seq:
-            return page
-    with suppress(TimeoutError):
-        async with asyncio.timeout(wait_s):
-            await feed.wait_beyond(context.store, after)
-    await context.waking.turn()
-    return await page_now(context, feed, after, limit)
+    """Return the page after `after`, as soon as there is something on it or `wait_s` are over.
 
-
-async def page_now(context: ApiContext, feed: Feed, after: int, limit: int) -> FeedPage:
-    """Return the page after `after`, the same to all who ask for it at this moment."""
-    store, last = context.store, feed.last(context.store)
-    wanted = (after, limit, *feed.more)
-
-    async def make() -> FeedPage:
-        if is_big:
-            return await context.reading.run(read, store.path, feed.query, store.instance_id, *wanted)
-        return await store.read(feed.query, store.instance_id, *wanted)
-
-    is_big = feed.is_large and min(limit, last - after) > MAX_SMALL
-    is_full = feed.is_stream and after + limit <= last  # what follows changes nothing on it
-    question = (feed.query, *wanted, None if is_full else last)
-    return await context.shared.get(question, make, keep_s=KEEP_S if is_full or not is_big else 0)
+    All who ask for it at this moment get the same.
+    """
+    store, wanted = context.store, (after, limit, *feed.more)
+    while True:
+        last = feed.last(store)
+        if wait_s == 0 or after != last:
+            is_big = feed.is_large and min(limit, last - after) > MAX_SMALL
+            is_full = feed.is_stream and after + limit <= last  # what follows changes nothing on it
+            read_page = partial(context.reading.run, read, store.path) if is_big else store.read
+            page: FeedPage = await context.shared.get(
+                (feed.query, *wanted, None if is_full else last),
+                partial(read_page, feed.query, store.instance_id, *wanted),
+                keep_s=KEEP_S if is_full or not is_big else 0,
+            )
+            if wait_s == 0 or after != page.last_seq:
+                return page
+        with suppress(TimeoutError):
+            async with asyncio.timeout(wait_s):
+                await feed.wait_beyond(store, after)
+        await context.waking.turn()
+        wait_s = 0
 
 
 def cursor_problem(page: FeedPage, after: int, kind: str) -> Problem | None:

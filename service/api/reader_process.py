@@ -9,6 +9,7 @@ import logging
 import os
 from collections.abc import Callable
 from functools import partial
+from operator import call
 from typing import Protocol, TypeVar
 
 from service.base.errors import ServiceError
@@ -89,7 +90,7 @@ class ReaderProcess:
             async with self._turn:
                 if not self._pool.pids:
                     await self._pool.start()
-                return await self._pool.run(_call, partial(function, *arguments))
+                return await self._pool.run(call, partial(function, *arguments))
         except (JobLostError, WorkerStartError) as err:
             log.error("a request was given up: %s", err)
             self.close()
@@ -107,7 +108,3 @@ def _pool() -> WorkerPool:
     return WorkerPool(
         slots=1, deadline_s=DEADLINE_S, prepare=lower_priority, context=NICENESS, name=PROCESS_NAME
     )
-
-
-def _call(job: Callable[[], T]) -> T:
-    return job()

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Coroutine, Hashable
+from functools import partial
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -13,24 +14,28 @@ class SharedAnswers:
     def __init__(self) -> None:
         self._answers: dict[Hashable, asyncio.Task[Any]] = {}
 
-    async def get(
+    def get(
         self, question: Hashable, make: Callable[[], Coroutine[Any, Any, T]], *, keep_s: float
-    ) -> T:
+    ) -> asyncio.Future[T]:
         """Return the result of `make`; the same question until `keep_s` after that shares it."""
         answer = self._answers.get(question)
-        if answer is None:
-            answer = self._answers[question] = asyncio.create_task(self._made(question, make, keep_s))
-        return await asyncio.shield(answer)  # others may wait for it
+        if answer is None or not _is_kept(answer, keep_s):
+            answer = self._answers[question] = asyncio.create_task(make())
+            answer.add_done_callback(partial(self._plan_removal, question, keep_s))
+        return asyncio.shield(answer)  # others may wait for it
 
-    async def _made(self, question: Hashable, make: Callable[[], Coroutine[Any, Any, T]], keep_s: float) -> T:
-        """Make the answer and remove it, or plan that, within its task: a done one is awaited without yielding."""
-        try:
-            answer = await make()
-        except BaseException:
+    def _plan_removal(self, question: Hashable, keep_s: float, answer: asyncio.Task[Any]) -> None:
+        delay_s = keep_s if _is_kept(answer, keep_s) else 0
+        asyncio.get_running_loop().call_later(delay_s, self._remove, question, answer)
+
+    def _remove(self, question: Hashable, answer: asyncio.Task[Any]) -> None:
+        if self._answers.get(question) is answer:
             del self._answers[question]
-            raise
-        if keep_s == 0:
-            del self._answers[question]
-        else:
-            asyncio.get_running_loop().call_later(keep_s, self._answers.pop, question)
-        return answer
+
+
+def _is_kept(answer: asyncio.Task[Any], keep_s: float) -> bool:
+    """True while an answer is being made, and once it is made if it is kept and no error.
+
+    One that is done and not kept is never given again: it is awaited without yielding.
+    """
+    return not answer.done() or (keep_s > 0 and not answer.cancelled() and answer.exception() is None)

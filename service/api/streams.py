@@ -14,7 +14,7 @@ from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from service.api.context import ApiContext
-from service.api.feeds import Feed, cursor_problem, page_now
+from service.api.feeds import Feed, cursor_problem, page_after
 from service.api.pages import FeedPage, server_sent
 from service.api.problems import Problem, failure_of, problem_document, store_unavailable
 from service.api.reader_process import BusyError
@@ -69,7 +69,7 @@ async def open_stream(
         The feed does not have what follows `after`, or too many streams are open.
     """
     context.streams.require_room(request)
-    page = await page_now(context, feed, after, 1)
+    page = await page_after(context, feed, after, 1)
     if (problem := cursor_problem(page, after, feed.kind)) is not None:
         raise problem
     return OpenStream(context, _chunks(context, feed, after, allow), request)
@@ -126,7 +126,7 @@ async def _patient_page(context: ApiContext, feed: Feed, after: int) -> FeedPage
     """Return the page after `after`, as soon as the process that makes big ones has time for it."""
     while True:
         try:
-            return await page_now(context, feed, after, PAGE)
+            return await page_after(context, feed, after, PAGE)
         except BusyError:
             await asyncio.sleep(BUSY_PAUSE_S)
 

@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -34,6 +34,7 @@ from service.commands.benchmarks.performance import run_performance_bench
 from service.commands.benchmarks.scaling import run_scaling_bench
 from service.commands.benchmarks.tables import performance_tables, scaling_tables
 from service.commands.looks import GlossOption, InterreflectionOption, SurfacesOption, looks_of
+from service.commands.options import with_options
 from service.commands.shape import read_mesh
 from service.processing.models.networks import load_model
 
@@ -47,10 +48,13 @@ SCALING_STONE_MM = 25.0
 Outcome = TypeVar("Outcome")
 
 
-def command(
+@dataclass(frozen=True, slots=True)
+class BenchmarkOptions:
+    """Options of `stonefall benchmark`."""
+
     accuracy: Annotated[
         bool, typer.Option("--accuracy", help="Measure distances to true surfaces instead of times.")
-    ] = False,
+    ] = False
     paper: Annotated[
         bool,
         typer.Option(
@@ -58,17 +62,17 @@ def command(
             help="Repeat the paper's Tables 1 to 3 and, with --pictures, its Figures 7, 8, 9 and 11: its method as a "
             "whole beside ours, on the same images.",
         ),
-    ] = False,
+    ] = False
     model: Annotated[
         str,
         typer.Option(
             help="With --paper: U2-Net, by the name of a fetched model or the path of an ONNX file."
         ),
-    ] = "u2netp",
+    ] = "u2netp"
     scaling: Annotated[
         bool,
         typer.Option("--scaling", help="Time one stone with several numbers of voxels, views and workers."),
-    ] = False,
+    ] = False
     bodies: Annotated[
         str | None,
         typer.Option(
@@ -76,7 +80,7 @@ def command(
             f"{IRREGULAR} ({', '.join(IRREGULAR_FORMS)}), single classes of these, or closed mesh files in mm."
             f" Default: all; with --paper none of {IRREGULAR}."
         ),
-    ] = None,
+    ] = None
     poses: Annotated[
         int,
         typer.Option(
@@ -84,61 +88,64 @@ def command(
             max=1000,
             help="Random poses of each body; without --accuracy stones of each size, with --scaling repetitions.",
         ),
-    ] = 10,
+    ] = 10
     seed: Annotated[
         int, typer.Option(min=0, help="Equal seeds give equal rigs, images, bodies and poses.")
-    ] = 1,
+    ] = 1
     rigs: Annotated[
         str,
         typer.Option(
             help="true: the one that took the images; paper: its calibration, 8 drops; ours: 20 drops."
         ),
-    ] = ",".join(RIGS),
-    lens: Annotated[
-        LensPreset, typer.Option(help="Lens of the images of --accuracy; f2 as published.")
-    ] = LensPreset.F2,
-    surfaces: SurfacesOption = SurfaceKind.MOTTLED.value,
-    gloss: GlossOption = 0.0,
-    interreflection: InterreflectionOption = False,
+    ] = ",".join(RIGS)
+    lens: Annotated[LensPreset, typer.Option(help="Lens of the images of --accuracy; f2 as published.")] = (
+        LensPreset.F2
+    )
+    surfaces: SurfacesOption = SurfaceKind.MOTTLED.value
+    gloss: GlossOption = 0.0
+    interreflection: InterreflectionOption = False
     pictures: Annotated[
         Path | None,
         typer.Option(help="Folder for pictures of each body's first pose, coloured by distance."),
-    ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print all results as JSON, with each trial.")
-    ] = False,
-) -> None:
-    """Time the processing on this machine; with --accuracy repeat the paper's Tables 2 and 3 on rendered images."""
-    if not (accuracy or paper):
-        _time_stones(poses, seed, scaling=scaling, as_json=as_json)
-        return
-    all_bodies = (*STANDARDS, STONES) if paper else (*STANDARDS, STONES, IRREGULAR)
-    names, own_bodies = _bodies(bodies or ",".join(all_bodies))
-    if pictures is not None:
-        pictures.mkdir(parents=True, exist_ok=True)
-    plan = BenchPlan(
-        poses=dict.fromkeys(names, poses),
-        own_bodies=own_bodies,
-        looks=dict.fromkeys(names, looks_of(surfaces, gloss, interreflection)),
-        seed=seed,
-        lens=lens,
-        methods=paper_bench.METHODS if paper else dict.fromkeys(_rigs(rigs), METHODS),
-        model=model if paper else None,
-        pictures=pictures,
+    ] = None
+    as_json: Annotated[bool, typer.Option("--json", help="Print all results as JSON, with each trial.")] = (
+        False
     )
-    if paper:
-        load_model(model)  # better known now than in every process
+
+
+@with_options
+def command(options: BenchmarkOptions) -> None:
+    """Time the processing on this machine; with --accuracy repeat the paper's Tables 2 and 3 on rendered images."""
+    if not (options.accuracy or options.paper):
+        _time_stones(options.poses, options.seed, scaling=options.scaling, as_json=options.as_json)
+        return
+    all_bodies = (*STANDARDS, STONES) if options.paper else (*STANDARDS, STONES, IRREGULAR)
+    names, own_bodies = _bodies(options.bodies or ",".join(all_bodies))
+    if options.pictures is not None:
+        options.pictures.mkdir(parents=True, exist_ok=True)
+    plan = BenchPlan(
+        poses=dict.fromkeys(names, options.poses),
+        own_bodies=own_bodies,
+        looks=dict.fromkeys(names, looks_of(options.surfaces, options.gloss, options.interreflection)),
+        seed=options.seed,
+        lens=options.lens,
+        methods=paper_bench.METHODS if options.paper else dict.fromkeys(_rigs(options.rigs), METHODS),
+        model=options.model if options.paper else None,
+        pictures=options.pictures,
+    )
+    if options.paper:
+        load_model(options.model)  # better known now than in every process
     result = _with_progress("measuring", lambda on_progress: run_accuracy_bench(plan, on_progress))
-    if paper and pictures is not None:
-        paper_bench.write_pictures(plan, result, pictures)
-    if as_json:
-        found = paper_bench.document(plan, result) if paper else _document(plan, result)
+    if options.paper and options.pictures is not None:
+        paper_bench.write_pictures(plan, result, options.pictures)
+    if options.as_json:
+        found = paper_bench.document(plan, result) if options.paper else _document(plan, result)
         typer.echo(json.dumps(without_nan(found), indent=2, allow_nan=False))
         return
     console = Console(width=None if sys.stdout.isatty() else FILE_TABLE_WIDTH)
     for line in rig_lines(plan, result):
         console.print(line, highlight=False)
-    if paper:
+    if options.paper:
         console.print(paper_bench.distance_table(plan, paper_bench.compare(result)))
         console.print(paper_bench.isolevel_table(result))
         console.print(paper_bench.time_table(result))

@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -42,96 +42,104 @@ from service.base.errors import UsageError
 from service.calibration.drops import observe_drop, solve_drops
 from service.calibration.plan import BALL_DIAMETERS_MM, Method
 from service.commands.calibration_report import print_ball_report, print_stone_report
+from service.commands.options import with_options
 from service.processing.models.networks import load_model
 
 
-def command(
-    recording: Annotated[Path, typer.Argument(help="Folder of the recording of ball drops.")],
+@dataclass(frozen=True, slots=True)
+class CalibrateOptions:
+    """Options of `stonefall calibrate`."""
+
+    recording: Annotated[Path, typer.Argument(help="Folder of the recording of ball drops.")]
     initial: Annotated[
         Path, typer.Option(help="Rig file to start from: the design, or an older calibration.")
-    ],
-    out: Annotated[Path, typer.Option(help="Rig file to write; an older one is replaced.")],
+    ]
+    out: Annotated[Path, typer.Option(help="Rig file to write; an older one is replaced.")]
     ball_diameter_mm: Annotated[
         list[float] | None,
         typer.Option(
             help="Known diameter of the ball, mm; give it twice for balls of two sizes. Without it lengths are only as "
             "accurate as those of the initial rig."
         ),
-    ] = None,
+    ] = None
     method: Annotated[
         Method,
         typer.Option(
             help="bundle: bundle adjustment; paper: Algorithm 1 of the paper; stones: new poses for cameras that moved,"
             " from any stones."
         ),
-    ] = Method.BUNDLE,
+    ] = Method.BUNDLE
     model: Annotated[
         str | None,
         typer.Option(
             help="With --method paper: U2-Net whose masks show the ball, by the name of a fetched model or the path of"
             " an ONNX file; without it drops are compared with the empty rig."
         ),
-    ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Write the rig even if it should not be used.")
-    ] = False,
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Threads that observe drops.")] = os.cpu_count()
-    or 1,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the whole report as JSON.")] = False,
-) -> None:
+    ] = None
+    force: Annotated[bool, typer.Option("--force", help="Write the rig even if it should not be used.")] = (
+        False
+    )
+    workers: Annotated[int, typer.Option(min=1, max=256, help="Threads that observe drops.")] = (
+        os.cpu_count() or 1
+    )
+    as_json: Annotated[bool, typer.Option("--json", help="Print the whole report as JSON.")] = False
+
+
+@with_options
+def command(options: CalibrateOptions) -> None:
     """Calibrate the rig from drops of a ball of known diameter; a solution that should not be used is refused.
 
     Drops are the recording's bundles of kind `ball`; if it has none, all that do not show the empty rig.
     """
-    diameters_mm = _distinct_diameters_mm(ball_diameter_mm or [])
-    if method is Method.STONES and diameters_mm:
+    diameters_mm = _distinct_diameters_mm(options.ball_diameter_mm or [])
+    if options.method is Method.STONES and diameters_mm:
         raise typer.BadParameter(
             "method stones cannot tell the scale; leave this option out", param_hint="--ball-diameter-mm"
         )
-    if model is not None and method is not Method.PAPER:
+    if options.model is not None and options.method is not Method.PAPER:
         raise typer.BadParameter("only --method paper takes a network's masks", param_hint="--model")
-    if out.is_dir():
-        raise UsageError(f"--out {out} is a folder; name a file")
+    if options.out.is_dir():
+        raise UsageError(f"--out {options.out} is a folder; name a file")
     threadpool_limits(1)  # on matrices as small as these, threads only wait for one another
-    source = open_recording(recording)
-    start = read_rig(initial)
-    require_rig_of(source, start, initial)
+    source = open_recording(options.recording)
+    start = read_rig(options.initial)
+    require_rig_of(source, start, options.initial)
     unreadable = [str(error) for error in source.unreadable]
-    kind = BundleKind.PARTICLE if method is Method.STONES else BundleKind.BALL
+    kind = BundleKind.PARTICLE if options.method is Method.STONES else BundleKind.BALL
     observe: Callable[[FrameBundle], BallDrop]
-    if model is not None:
-        observe = partial(observe_centroids, masks=MaskSegmenter(load_model(model)), diameter_mm=None)
+    if options.model is not None:
+        observe = partial(observe_centroids, masks=MaskSegmenter(load_model(options.model)), diameter_mm=None)
     else:  # never the network, whose training an edge must not depend on: views without comparison are left out
         background = _learn_background(source, unreadable)
         observe = partial(observe_drop, background=background, segmenter=BackgroundSegmenter(), kind=kind)
-    drops = _observed(source, _drop_headers(source, kind), observe, workers, unreadable)
+    drops = _observed(source, _drop_headers(source, kind), observe, options.workers, unreadable)
     try:
         solved = solve_drops(
             drops,
             start,
-            method=method,
+            method=options.method,
             diameters_mm=diameters_mm,
             created_at=utc_now("seconds"),
-            name=out.stem,
+            name=options.out.stem,
         )
     except CalibrationError as err:
-        if as_json:
+        if options.as_json:
             refusal = {"is_acceptable": False, "problems": [asdict(each) for each in err.problems]}
             typer.echo(json.dumps(refusal, indent=2))
         raise
     used = set(solved.report["drops_used"])
     covered = coverage([drop for drop in drops if drop.name in used], solved.rig)
-    if as_json:
+    if options.as_json:
         document = {**solved.report, "coverage": asdict(covered), "unreadable": unreadable}
         typer.echo(json.dumps(document, indent=2))
     elif isinstance(solved.evidence, StoneCalibration):
         print_stone_report(solved.evidence, unreadable)
     else:
         print_ball_report(solved.evidence, covered, unreadable)
-    if solved.refusal is not None and not force:
-        raise UsageError(f"{out} was not written: {solved.refusal} (--force writes it all the same)")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_rig(out, solved.rig)
+    if solved.refusal is not None and not options.force:
+        raise UsageError(f"{options.out} was not written: {solved.refusal} (--force writes it all the same)")
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    write_rig(options.out, solved.rig)
 
 
 def _distinct_diameters_mm(diameters_mm: Sequence[float]) -> list[float]:

@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import typer
@@ -12,6 +13,7 @@ from rich.table import Table
 from service.calibration.states import OPEN, CalibrationAction, CalibrationState
 from service.calibration.verifications import VerificationState
 from service.commands.daemon_client import DEFAULT_URL, AsJson, DaemonError, Key, Url, ask
+from service.commands.options import with_options
 
 FOLLOW_S = 1.0
 
@@ -26,29 +28,40 @@ Follow = Annotated[bool, typer.Option("--follow", help="Print each drop as it is
 By = Annotated[str | None, typer.Option(help="Who decides; kept with the calibration.")]
 
 
-@command.command()
-def start(
+@dataclass(frozen=True, slots=True)
+class StartOptions:
+    """Options of `stonefall calibration start`."""
+
     ball_diameter_mm: Annotated[
         list[float] | None,
         typer.Option(help="Diameter of the ball, mm; give it twice for balls of two sizes."),
-    ] = None,
-    method: Annotated[str, typer.Option(help="bundle, paper, or stones (without a ball).")] = "bundle",
-    note: Note = None,
-    by: By = None,
-    follow: Follow = False,
-    url: Url = DEFAULT_URL,
-    key: Key = None,
-    as_json: AsJson = False,
-) -> None:
+    ] = None
+    method: Annotated[str, typer.Option(help="bundle, paper, or stones (without a ball).")] = "bundle"
+    note: Note = None
+    by: By = None
+    follow: Follow = False
+    url: Url = DEFAULT_URL
+    key: Key = None
+    as_json: AsJson = False
+
+
+@command.command()
+@with_options
+def start(options: StartOptions) -> None:
     """Open a calibration. Drop the ball through the whole field of view, then `solve`."""
-    wanted = {"ball_diameters_mm": ball_diameter_mm or [], "method": method, "note": note, "by": by}
-    record = ask(url, "/calibrations", key, wanted)
-    if as_json and not follow:
+    wanted = {
+        "ball_diameters_mm": options.ball_diameter_mm or [],
+        "method": options.method,
+        "note": options.note,
+        "by": options.by,
+    }
+    record = ask(options.url, "/calibrations", options.key, wanted)
+    if options.as_json and not options.follow:
         typer.echo(json.dumps(record))
         return
     typer.echo(f"calibration {record['id']}: everything that falls now is observed")
-    if follow:
-        _follow(url, key, record["id"], as_json)
+    if options.follow:
+        _follow(options.url, options.key, record["id"], options.as_json)
 
 
 @command.command()

@@ -6,7 +6,7 @@ algorithm versions or revisions of the stones of a running daemon. Exits with 1 
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +16,7 @@ from rich.table import Table
 
 from service.base.errors import UsageError
 from service.commands.daemon_client import DEFAULT_URL, Key, Url
+from service.commands.options import with_options
 from service.commands.results_file import read_results
 from service.commands.revised_stones import revisions_of_lot
 from service.lots.comparing import ComparedFigure, compared_figures
@@ -29,61 +30,67 @@ NAMED = 10
 """Stones whose outcome or quality is another one that are named for people; `--json` names all."""
 
 
-def command(
-    old: Annotated[str, typer.Argument(help="Folder of results; with --lot a version such as 13, or r1.")],
-    new: Annotated[str, typer.Argument(help="The same, of the new release; r2 is the second revision.")],
-    lot: Annotated[str | None, typer.Option(help="Compare stones of this lot of a running daemon.")] = None,
+@dataclass(frozen=True, slots=True)
+class CompareOptions:
+    """Options of `stonefall compare`."""
+
+    old: Annotated[str, typer.Argument(help="Folder of results; with --lot a version such as 13, or r1.")]
+    new: Annotated[str, typer.Argument(help="The same, of the new release; r2 is the second revision.")]
+    lot: Annotated[str | None, typer.Option(help="Compare stones of this lot of a running daemon.")] = None
     max_volume_percent: Annotated[
         float | None, typer.Option(min=0.0, help="Largest change of a stone's volume.")
-    ] = None,
+    ] = None
     max_sieve_mm: Annotated[
         float | None, typer.Option(min=0.0, help="Largest change of a stone's sieve size.")
-    ] = None,
+    ] = None
     max_axes_mm: Annotated[
         float | None, typer.Option(min=0.0, help="Largest change of a stone's axes and Feret diameters.")
-    ] = None,
+    ] = None
     max_shape: Annotated[
         float | None, typer.Option(min=0.0, help="Largest change of a stone's shape factors, 0 to 1.")
-    ] = None,
+    ] = None
     max_passing_percent: Annotated[
         float | None, typer.Option(min=0.0, help="Largest change of the lot's passing at a sieve, in points.")
-    ] = None,
+    ] = None
     same_words: Annotated[
         bool, typer.Option("--same-words", help="Outcome, reason and quality of each stone must be equal.")
-    ] = False,
-    sieve_set: Annotated[str, typer.Option("--sieves", help="Name of a sieve set.")] = "stonefall",
-    url: Url = DEFAULT_URL,
-    key: Key = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print all differences as JSON.")] = False,
-) -> None:
+    ] = False
+    sieve_set: Annotated[str, typer.Option("--sieves", help="Name of a sieve set.")] = "stonefall"
+    url: Url = DEFAULT_URL
+    key: Key = None
+    as_json: Annotated[bool, typer.Option("--json", help="Print all differences as JSON.")] = False
+
+
+@with_options
+def command(options: CompareOptions) -> None:
     """Compare two measurements of the same stones: volume, sieve size, axes, shape, quality, and the lot's curve.
 
     What each version of the algorithm changed in results: service/remeasuring/README.md.
     """
-    if lot is None:
-        before, after = (_by_bundle(Path(path)) for path in (old, new))
+    if options.lot is None:
+        before, after = (_by_bundle(Path(path)) for path in (options.old, options.new))
     else:
-        before, after = revisions_of_lot(url, key, lot, (old, new))
+        before, after = revisions_of_lot(options.url, options.key, options.lot, (options.old, options.new))
     changes = stone_changes(before, after)
     if not changes.n_common:
-        raise UsageError(f"{old} and {new} have no stone in common")
-    figures = _figures([before, after], sieve_set)
+        raise UsageError(f"{options.old} and {options.new} have no stone in common")
+    figures = _figures([before, after], options.sieve_set)
     limits = {
-        Group.VOLUME: max_volume_percent,
-        Group.SIEVE: max_sieve_mm,
-        Group.AXES: max_axes_mm,
-        Group.SHAPE: max_shape,
+        Group.VOLUME: options.max_volume_percent,
+        Group.SIEVE: options.max_sieve_mm,
+        Group.AXES: options.max_axes_mm,
+        Group.SHAPE: options.max_shape,
     }
     beyond = [
         *beyond_limits(changes, {group: limit for group, limit in limits.items() if limit is not None}),
-        *_passing_beyond(figures, max_passing_percent),
+        *_passing_beyond(figures, options.max_passing_percent),
         *(
             [f"{each.field} of {each.id} is {each.after}, was {each.before}" for each in changes.words]
-            if same_words
+            if options.same_words
             else []
         ),
     ]
-    if as_json:
+    if options.as_json:
         lots = [figure.model_dump(mode="json") for figure in figures]
         typer.echo(json.dumps({"stones": asdict(changes), "lot": lots, "beyond": beyond}))
     else:

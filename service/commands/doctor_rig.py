@@ -14,7 +14,7 @@ from drivers.factory import AravisBackend, build_devices, build_gate
 from drivers.files.rig_file import read_rig
 from drivers.gvcp import DiscoveredCamera, discover
 from pipeline.frames import BundleKind, CameraId, FrameBundle
-from service.acquisition.acquisition import Acquisition
+from service.acquisition.acquisition import Acquisition, AcquisitionParameters
 from service.acquisition.empty_rig import EmptyRigParameters
 from service.acquisition.triggers import NoAccounting
 from service.base.status import AcquisitionTarget
@@ -185,11 +185,13 @@ async def _exposed(backend: AravisBackend, bundling: BundlingParameters) -> Fram
     bundles: asyncio.Queue[FrameBundle] = asyncio.Queue()
     acquisition = Acquisition(
         devices,
-        session=0,
+        AcquisitionParameters(
+            session=0,
+            bundling=bundling,
+            min_cameras=1,
+            empty_rig=EmptyRigParameters(at_start=1, every_s=0),
+        ),
         triggers=NoAccounting(),
-        bundling=bundling,
-        min_cameras=1,
-        empty_rig=EmptyRigParameters(at_start=1, every_s=0),
         on_bundle=bundles.put_nowait,
         on_progress=lambda: None,
     )

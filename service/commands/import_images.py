@@ -13,7 +13,7 @@ from rich.progress import track
 
 from drivers.errors import RecordingError
 from drivers.files.png_file import read_png
-from drivers.files.recording import RecordingWriter
+from drivers.files.recording import RecordingSource, RecordingWriter
 from drivers.files.rig_file import read_rig
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger, rfc3339
 from service.base.errors import UsageError
@@ -43,10 +43,7 @@ def command(
     started_at = datetime.now(UTC)
     with RecordingWriter(
         out,
-        camera_ids=calibration.camera_ids,
-        image_size_px=size_px,
-        rig=calibration,
-        is_simulated=simulated,
+        RecordingSource(camera_ids=calibration.camera_ids, rig=calibration, is_simulated=simulated),
         made_by={"command": "import", "source": source.name, "times": "invented"},
     ) as writer:
         console = Console(file=sys.stderr)

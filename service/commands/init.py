@@ -3,6 +3,7 @@
 import csv
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +17,7 @@ from pipeline.rig.design import nominal_rig
 from service.base.errors import SettingsError, UsageError
 from service.commands.cameras import ipv4_address
 from service.commands.init_file import Answers, configuration_text
+from service.commands.options import with_options
 from service.configuration.rig_settings import CameraPlace
 from service.configuration.settings import load_settings, problems, shortcomings
 
@@ -23,10 +25,13 @@ GATES = Path("/dev/serial/by-id")
 COLUMNS = ("serial", "address", "user_name")
 
 
-def command(
+@dataclass(frozen=True, slots=True)
+class InitOptions:
+    """Options of `stonefall init`."""
+
     file: Annotated[
         Path, typer.Argument(help="Configuration file to write, such as /etc/stonefall/stonefall.toml.")
-    ],
+    ]
     interface: Annotated[
         list[str] | None,
         typer.Option(
@@ -34,59 +39,63 @@ def command(
             parser=ipv4_address,
             help="Address of this machine towards the cameras; may be repeated.",
         ),
-    ] = None,
+    ] = None
     camera: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PLACE=SERIAL",
             help="Serial number of the camera in a place, such as c01=12345; may be repeated.",
         ),
-    ] = None,
+    ] = None
     cameras: Annotated[
         Path | None,
         typer.Option(
             help="CSV file with the columns id and serial, address or user_name, in the place of --camera."
         ),
-    ] = None,
-    gate: Annotated[str | None, typer.Option(help="Port of a light gate with a serial line.")] = None,
+    ] = None
+    gate: Annotated[str | None, typer.Option(help="Port of a light gate with a serial line.")] = None
     strobe_line: Annotated[
         str | None,
         typer.Option(
             metavar="LINE", help="Output of the cameras that fires the light panels, such as Line2."
         ),
-    ] = None,
+    ] = None
     flash_us: Annotated[
         float | None,
         typer.Option(min=0.1, help="Light of one flash, if shorter than the exposure of 20 us."),
-    ] = None,
-    store: Annotated[Path, typer.Option(help="Folder for results.")] = Path("/var/lib/stonefall"),
-    spool: Annotated[Path, typer.Option(help="Folder on tmpfs for bundles.")] = Path("/run/stonefall"),
+    ] = None
+    store: Annotated[Path, typer.Option(help="Folder for results.")] = Path("/var/lib/stonefall")
+    spool: Annotated[Path, typer.Option(help="Folder on tmpfs for bundles.")] = Path("/run/stonefall")
     product: Annotated[
         str | None, typer.Option(help="Name of the product, for the steps that are printed.")
-    ] = None,
+    ] = None
     density_g_cm3: Annotated[
         float | None, typer.Option(min=0.1, max=20, help="Particle density (EN 1097-6).")
-    ] = None,
-    simulated: Annotated[bool, typer.Option("--simulated", help="The rig is a simulated one.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
-) -> None:
+    ] = None
+    simulated: Annotated[bool, typer.Option("--simulated", help="The rig is a simulated one.")] = False
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False
+
+
+@with_options
+def command(options: InitOptions) -> None:
     """Write a configuration with comments, and say what is missing in it and what to do next; exit 0 if nothing is.
 
     On a terminal it asks for what no option says. Cameras that answer are entered in any order when there is one for
     each place. A rig file that is there is kept; without one the design is written, until the rig is calibrated.
     """
-    if file.exists() and not force:
-        raise UsageError(f"{file}: exists already; --force replaces it")
+    if options.file.exists() and not options.force:
+        raise UsageError(f"{options.file}: exists already; --force replaces it")
     is_asked = sys.stdin.isatty()
-    interfaces = tuple(interface or (_asked_interfaces() if is_asked else ()))
-    rig_file = file.resolve().parent / "rig.json"
+    interfaces = tuple(options.interface or (_asked_interfaces() if is_asked else ()))
+    rig_file = options.file.resolve().parent / "rig.json"
     rig = read_rig(rig_file) if rig_file.exists() else nominal_rig()
-    named = _from_csv(cameras) if cameras is not None else _from_options(camera or [])
+    named = _from_csv(options.cameras) if options.cameras is not None else _from_options(options.camera or [])
     if unknown := sorted(named.keys() - set(rig.camera_ids)):
         raise UsageError(f"{', '.join(unknown)}: no place of the rig, which has {', '.join(rig.camera_ids)}")
     if not named:
         named = _placed(rig.camera_ids, _answering(interfaces), is_asked=is_asked)
-    gate = gate or _found_gate(is_asked=is_asked)
+    gate = options.gate or _found_gate(is_asked=is_asked)
+    strobe_line, flash_us = options.strobe_line, options.flash_us
     if is_asked and strobe_line is None and flash_us is None:
         strobe_line, flash_us = _asked_light()
     answers = Answers(
@@ -97,21 +106,23 @@ def command(
         strobe_line=strobe_line,
         flash_us=flash_us,
         calibration=rig_file,
-        spool=spool.resolve(),
-        store=store.resolve(),
-        density_g_cm3=density_g_cm3 or (_asked_density() if is_asked else None),
-        is_simulated=simulated,
+        spool=options.spool.resolve(),
+        store=options.store.resolve(),
+        density_g_cm3=options.density_g_cm3 or (_asked_density() if is_asked else None),
+        is_simulated=options.simulated,
     )
-    file.parent.mkdir(parents=True, exist_ok=True)
+    options.file.parent.mkdir(parents=True, exist_ok=True)
     if not rig_file.exists():
         write_rig(rig_file, rig)
         typer.echo(f"{rig_file}: the rig's design, until it is calibrated")
-    write_file(file, configuration_text(answers).encode())
-    missing = _missing(file, answers)
-    typer.echo(f"{file}: {'written; nothing is missing' if not missing else 'written, and not ready:'}")
+    write_file(options.file, configuration_text(answers).encode())
+    missing = _missing(options.file, answers)
+    typer.echo(
+        f"{options.file}: {'written; nothing is missing' if not missing else 'written, and not ready:'}"
+    )
     for each in missing:
         typer.echo(f"  - {each}")
-    typer.echo(_next_steps(file, product, answers.density_g_cm3))
+    typer.echo(_next_steps(options.file, options.product, answers.density_g_cm3))
     if missing:
         raise typer.Exit(1)
 

@@ -1,6 +1,7 @@
 """`stonefall lots`: products and lots of a running daemon, as a client of its REST interface."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import quote, urlencode
@@ -12,6 +13,7 @@ from rich.table import Table
 from drivers.files.durable import write_file
 from service.base.errors import UsageError
 from service.commands.daemon_client import DEFAULT_URL, AsJson, Key, Url, ask, fetch
+from service.commands.options import with_options
 
 FORMATS = ("html", "pdf", "csv", "xlsx")
 
@@ -24,54 +26,76 @@ SieveSet = Annotated[str | None, typer.Option("--sieves", help="Sieve set, in th
 Specification = Annotated[str | None, typer.Option(help="Specification, in the place of the product's.")]
 
 
+@dataclass(frozen=True, slots=True)
+class ProductOptions:
+    """Options of `stonefall lots product`."""
+
+    name: Annotated[str, typer.Argument(metavar="PRODUCT", help="Name of the product.")]
+    density_kg_m3: Annotated[float, typer.Option(help="Density of the particles, EN 1097-6, kg/m3.")]
+    title: Annotated[str | None, typer.Option(help="For people; the name when absent.")] = None
+    lower_mm: Annotated[float | None, typer.Option(help="d of a product d/D, mm.")] = None
+    upper_mm: Annotated[float | None, typer.Option(help="D of it, mm.")] = None
+    sieve_set: SieveSet = None
+    specification: Annotated[str | None, typer.Option(help="Category or size, such as GC85-20.")] = None
+    flakiness_category: Annotated[str | None, typer.Option(help="Such as FI20.")] = None
+    shape_category: Annotated[str | None, typer.Option(help="Such as SI20.")] = None
+    url: Url = DEFAULT_URL
+    key: Key = None
+    as_json: AsJson = False
+
+
 @command.command()
-def product(
-    name: Annotated[str, typer.Argument(metavar="PRODUCT", help="Name of the product.")],
-    density_kg_m3: Annotated[float, typer.Option(help="Density of the particles, EN 1097-6, kg/m3.")],
-    title: Annotated[str | None, typer.Option(help="Title for people; default: the name.")] = None,
-    lower_mm: Annotated[float | None, typer.Option(help="d of a product d/D, mm.")] = None,
-    upper_mm: Annotated[float | None, typer.Option(help="D of it, mm.")] = None,
-    sieve_set: SieveSet = None,
-    specification: Annotated[str | None, typer.Option(help="Category or size, such as GC85-20.")] = None,
-    flakiness_category: Annotated[str | None, typer.Option(help="Such as FI20.")] = None,
-    shape_category: Annotated[str | None, typer.Option(help="Such as SI20.")] = None,
-    url: Url = DEFAULT_URL,
-    key: Key = None,
-    as_json: AsJson = False,
-) -> None:
+@with_options
+def product(options: ProductOptions) -> None:
     """Define a product, or change it: a change is a new version, and lots keep theirs."""
     wanted = {
-        "title": title or name,
-        "density_kg_m3": density_kg_m3,
-        "lower_mm": lower_mm,
-        "upper_mm": upper_mm,
-        "sieve_set": sieve_set,
-        "specification": specification,
-        "flakiness_category": flakiness_category,
-        "shape_category": shape_category,
+        "title": options.title or options.name,
+        "density_kg_m3": options.density_kg_m3,
+        "lower_mm": options.lower_mm,
+        "upper_mm": options.upper_mm,
+        "sieve_set": options.sieve_set,
+        "specification": options.specification,
+        "flakiness_category": options.flakiness_category,
+        "shape_category": options.shape_category,
     }
-    saved = ask(url, f"/products/{quote(name)}", key, wanted, method="PUT")
-    typer.echo(json.dumps(saved) if as_json else f"product {name}, version {saved['version']}")
+    saved = ask(options.url, f"/products/{quote(options.name)}", options.key, wanted, method="PUT")
+    typer.echo(
+        json.dumps(saved) if options.as_json else f"product {options.name}, version {saved['version']}"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class OpenOptions:
+    """Options of `stonefall lots open`."""
+
+    lot: Lot
+    product: Annotated[str, typer.Option(help="Name of the product.")]
+    equipment: Annotated[str | None, typer.Option(help="The crusher or belt that it comes from.")] = None
+    sublot: str | None = None
+    sample_id: str | None = None
+    sampler: str | None = None
+    tonnage_t: float | None = None
+    remark: str | None = None
+    url: Url = DEFAULT_URL
+    key: Key = None
+    as_json: AsJson = False
 
 
 @command.command("open")
-def open_(
-    lot: Lot,
-    product: Annotated[str, typer.Option(help="Name of the product.")],
-    equipment: Annotated[str | None, typer.Option(help="The crusher or belt that it comes from.")] = None,
-    sublot: str | None = None,
-    sample_id: str | None = None,
-    sampler: str | None = None,
-    tonnage_t: float | None = None,
-    remark: str | None = None,
-    url: Url = DEFAULT_URL,
-    key: Key = None,
-    as_json: AsJson = False,
-) -> None:
+@with_options
+def open_(options: OpenOptions) -> None:
     """Open a lot: what falls from now on is in it."""
-    words = {"equipment": equipment, "sublot": sublot, "sample_id": sample_id, "sampler": sampler}
-    wanted = {"lot": lot, "product": product, "tonnage_t": tonnage_t, "remark": remark, **words}
-    _show(ask(url, "/lots", key, wanted), as_json)
+    wanted = {
+        "lot": options.lot,
+        "product": options.product,
+        "tonnage_t": options.tonnage_t,
+        "remark": options.remark,
+        "equipment": options.equipment,
+        "sublot": options.sublot,
+        "sample_id": options.sample_id,
+        "sampler": options.sampler,
+    }
+    _show(ask(options.url, "/lots", options.key, wanted), options.as_json)
 
 
 @command.command()

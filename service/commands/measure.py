@@ -8,7 +8,7 @@ import json
 import os
 import shutil
 import tempfile
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -32,6 +32,7 @@ from service.base.language import Language
 from service.commands.lots import curve_table
 from service.commands.measured_recording import FOLDERS, RESULTS, measure_all
 from service.commands.measuring_pool import Executor, measuring_pool
+from service.commands.options import with_options
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.settings import load_settings
 from service.lots.evaluation import figures_of
@@ -81,126 +82,133 @@ class CarvingField(StrEnum):
     VIEW_COUNT = "view_count"
 
 
-def command(
-    recording: Annotated[Path, typer.Argument(help="Folder of the recording.")],
+@dataclass(frozen=True, slots=True)
+class MeasureOptions:
+    """Options of `stonefall measure`."""
+
+    recording: Annotated[Path, typer.Argument(help="Folder of the recording.")]
     out: Annotated[
         Path,
         typer.Option(
             help="Folder for results.jsonl, meshes/ and gradation.json; an earlier run's are replaced."
         ),
-    ],
-    rig: Annotated[Path | None, typer.Option(help="Rig file; default: rig.json of the recording.")] = None,
+    ]
+    rig: Annotated[Path | None, typer.Option(help="Rig file; default: rig.json of the recording.")] = None
     segmenter: Annotated[
         SegmenterName | None,
         typer.Option(
             help="Segmenter; default: as configured, else auto (onnx where background is in doubt). mask: a U2-Net's"
             " mask is the silhouette, as in the paper."
         ),
-    ] = None,
+    ] = None
     model: Annotated[
         str | None,
         typer.Option(
             help="ONNX file, or name of `stonefall models list`; default: as configured, else the built-in model."
         ),
-    ] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="Use the parameters of this configuration file.")
-    ] = None,
+    ] = None
+    config: Annotated[Path | None, typer.Option(help="Use the parameters of this configuration file.")] = None
     field: Annotated[
         CarvingField | None,
         typer.Option(
             help="sub_voxel: signed distances; view_count: the paper's. Default: as configured, else sub_voxel."
         ),
-    ] = None,
+    ] = None
     body: Annotated[
         BodyName | None,
         typer.Option(help="Body that mesh and shape describe; default: as configured, else photo."),
-    ] = None,
+    ] = None
     texture: Annotated[
         bool | None,
         typer.Option(
             "--texture/--no-texture",
             help="Whether meshes have a grey value at each vertex; default: as configured, else with photo.",
         ),
-    ] = None,
+    ] = None
     mesher: Annotated[
         Mesher | None,
         typer.Option(
             help="own: marching cubes over the cut leaves; skimage: scikit-image's, the reference. Default: as"
             " configured, else own."
         ),
-    ] = None,
+    ] = None
     method: Annotated[
         MethodName,
         typer.Option(
             help="paper: the method of the paper as a whole (masks of a U2-Net, voxels counted, scikit-image, no "
             "correction); the rig is then that of `stonefall calibrate --method paper`."
         ),
-    ] = MethodName.OURS,
+    ] = MethodName.OURS
     isolevel: Annotated[
         float | None,
         typer.Option(
             help="Level of the surface in the count of 16 views, from 15 to less than 16; default: 15.5."
         ),
-    ] = None,
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes that measure.")] = os.cpu_count()
-    or 1,
-    executor: Executor = None,
+    ] = None
+    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes that measure.")] = (
+        os.cpu_count() or 1
+    )
+    executor: Executor = None
     save_silhouettes: Annotated[
         bool, typer.Option("--save-silhouettes", help="Write silhouettes/<bundle>/<camera>.png as well.")
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
-) -> None:
+    ] = False
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False
+
+
+@with_options
+def command(options: MeasureOptions) -> None:
     """Measure every stone of a recording, with the same results as the daemon's, on any number of workers."""
-    source = open_recording(recording)
-    rig_path = rig or source.path / "rig.json"
-    if rig is None and not rig_path.exists():
-        raise UsageError(f"{recording} has no rig.json; name a rig file with --rig")
+    source = open_recording(options.recording)
+    rig_path = options.rig or source.path / "rig.json"
+    if options.rig is None and not rig_path.exists():
+        raise UsageError(f"{options.recording} has no rig.json; name a rig file with --rig")
     calibration = read_rig(rig_path)
     require_rig_of(source, calibration, rig_path)
-    settings = load_settings(config) if config else None
+    settings = load_settings(options.config) if options.config else None
     parameters = settings.pipeline if settings else PipelineParameters()
     segmentation = settings.segmentation if settings else SegmentationSettings()
-    if method is MethodName.PAPER:
-        if config is not None:
+    if options.method is MethodName.PAPER:
+        if options.config is not None:
             raise UsageError("--method paper has parameters of its own; leave --config out")
         parameters, segmentation = PAPER, SegmentationSettings(segmenter="mask", model=PAPERS_MODEL)
-    if mesher is not None:
-        parameters = replace(parameters, meshing=MeshingParameters(mesher=mesher))
-    if isolevel is not None:
+    if options.mesher is not None:
+        parameters = replace(parameters, meshing=MeshingParameters(mesher=options.mesher))
+    if options.isolevel is not None:
         try:
-            parameters = replace(parameters, carving=replace(parameters.carving, isolevel=isolevel))
+            parameters = replace(parameters, carving=replace(parameters.carving, isolevel=options.isolevel))
         except ValueError as err:
             raise typer.BadParameter(str(err), param_hint="--isolevel") from err
-    if body is not None:
-        parameters = replace(parameters, body=replace(parameters.body, kind=body.value))
-    if texture is not None:
-        parameters = replace(parameters, body=replace(parameters.body, texture=texture))
-    if field is not None:
-        parameters = replace(parameters, carving=replace(parameters.carving, field=field.value))
+    if options.body is not None:
+        parameters = replace(parameters, body=replace(parameters.body, kind=options.body.value))
+    if options.texture is not None:
+        parameters = replace(parameters, body=replace(parameters.body, texture=options.texture))
+    if options.field is not None:
+        parameters = replace(parameters, carving=replace(parameters.carving, field=options.field.value))
     context = WorkerContext(
         parameters=parameters,
         is_simulated=source.is_simulated,
         speed_at_gate_mm_s=source.speed_at_gate_mm_s,
-        segmentation=_segmenter_plan(segmentation, segmenter, model),
+        segmentation=_segmenter_plan(segmentation, options.segmenter, options.model),
     )
-    taken = [name for name in FOLDERS if (out / name).exists()]
-    if taken and not (out / RESULTS).exists():
+    taken = [name for name in FOLDERS if (options.out / name).exists()]
+    if taken and not (options.out / RESULTS).exists():
         raise UsageError(
-            f"{out} has {taken[0]}/ but no {RESULTS}: it is not a folder of results; name another --out"
+            f"{options.out} has {taken[0]}/ but no {RESULTS}: it is not a folder of results; name another --out"
         )
-    out.mkdir(parents=True, exist_ok=True)
+    options.out.mkdir(parents=True, exist_ok=True)
     rig_file = RigFile(rig_path, calibration.calibration_id)
-    with tempfile.TemporaryDirectory(prefix=".measuring-", dir=out) as name:
+    with tempfile.TemporaryDirectory(prefix=".measuring-", dir=options.out) as name:
         unfinished = Path(name)
-        measuring = partial(measuring_pool, executor, workers, context)
-        records = measure_all(source, rig_file, measuring, unfinished, save_silhouettes=save_silhouettes)
+        measuring = partial(measuring_pool, options.executor, options.workers, context)
+        records = measure_all(
+            source, rig_file, measuring, unfinished, save_silhouettes=options.save_silhouettes
+        )
         (unfinished / GRADATION).write_text(json.dumps(_gradation(records, calibration), indent=2) + "\n")
         figures = figures_of(stones_in(records), Request())
         (unfinished / CURVE).write_text(curve_svg(figures.curve, language=Language.ENGLISH), encoding="utf-8")
-        _replace_results(unfinished, out)
-    _print_summary(records, as_json)
-    if figures.measured and not as_json:
+        _replace_results(unfinished, options.out)
+    _print_summary(records, options.as_json)
+    if figures.measured and not options.as_json:
         Console().print(curve_table(figures.model_dump(mode="json")))
 
 

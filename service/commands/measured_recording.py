@@ -17,7 +17,7 @@ from drivers.files.silhouette_file import read_silhouettes
 from service.commands.measuring_pool import IN_FLIGHT, one_error
 from service.processing.job_pool import JobPool
 from service.processing.measure_job import MESH, SILHOUETTES, RigFile
-from service.processing.processing import FixedCalibration, Processing, ProcessingContext
+from service.processing.processing import FixedCalibration, Processing, ProcessingContext, ProcessingObserver
 from service.processing.spool import Loss, SpooledBundle
 from service.results.fields import LossReason
 
@@ -118,6 +118,8 @@ async def _run(
             pool=pool,
             results=results,
             calibration=FixedCalibration(rig_file),
-            on_progress=lambda: progress.update(bar, completed=len(results.records)),
+            observer=ProcessingObserver(
+                on_progress=lambda: progress.update(bar, completed=len(results.records))
+            ),
         )
         await processing.run()

@@ -15,8 +15,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from drivers.factory import build_devices
 from drivers.files.durable import require_unused
+from drivers.files.recording import RecordingWriter
 from drivers.files.rig_file import read_rig
-from service.acquisition.acquisition import INBOX_TRIGGERS, Acquisition
+from service.acquisition.acquisition import INBOX_TRIGGERS, Acquisition, AcquisitionParameters
 from service.acquisition.triggers import NoAccounting
 from service.base.errors import ServiceError, SettingsError
 from service.base.status import AcquisitionState, AcquisitionTarget
@@ -71,13 +72,12 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
     calibration = read_rig(settings.rig.calibration_path)
     devices = build_devices(settings.rig.backend_for(calibration))
     source = settings.rig.source(devices, calibration)
-    require_room(out.parent, count or 1, source, settings.recordings.reserve_bytes)
+    reserve_bytes = settings.recordings.reserve_bytes
+    require_room(out.parent, count or 1, source, reserve_bytes)
     recording = LiveRecording(
-        out,
-        source,
-        compression="zstd",  # nothing is measured meanwhile: there is processor time for it
-        reserve_bytes=settings.recordings.reserve_bytes,
-        made_by={"command": "record", "count": count},
+        # nothing is measured meanwhile: there is processor time for compression
+        RecordingWriter(out, source, made_by={"command": "record", "count": count}, compression="zstd"),
+        room_needed_bytes=reserve_bytes + source.bundle_bytes,
         count=count,
         on_free=(lambda: None) if devices.belt is None else devices.belt.permit,
     )
@@ -85,11 +85,13 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
         devices.belt.permit(INBOX_TRIGGERS // 2)  # at fast pace; more as these are written
     acquisition = Acquisition(
         devices,
-        session=0,
+        AcquisitionParameters(
+            session=0,
+            bundling=settings.rig.bundling_for(settings.bundling),
+            min_cameras=settings.views.min,
+            empty_rig=settings.empty_rig,
+        ),
         triggers=NoAccounting(),
-        bundling=settings.rig.bundling_for(settings.bundling),
-        min_cameras=settings.views.min,
-        empty_rig=settings.empty_rig,
         on_bundle=recording.offer,
         on_progress=lambda: None,
     )

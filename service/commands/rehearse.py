@@ -6,6 +6,7 @@ import sys
 import tempfile
 import time
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +16,7 @@ from rich.table import Table
 
 from service.base.errors import UsageError
 from service.base.language import Language
+from service.commands.options import with_options
 from service.commands.rehearsal.day import Day, merged
 from service.commands.rehearsal.expected import as_text
 from service.commands.rehearsal.recordings import RehearsedRecording, rehearsed_recording
@@ -31,58 +33,64 @@ SETTINGS = {
 }
 
 
-def command(
-    script: Annotated[str, typer.Option(help="Script to play; --list shows all.")] = "day",
-    is_list: Annotated[bool, typer.Option("--list", help="List the scripts, and end.")] = False,
-    speed: Annotated[float, typer.Option(min=0.1, max=10, help="Factor on four stones a second.")] = 1.0,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the daemon; 0: a free one.")] = 8080,
+@dataclass(frozen=True, slots=True)
+class RehearseOptions:
+    """Options of `stonefall rehearse`."""
+
+    script: Annotated[str, typer.Option(help="Script to play; --list shows all.")] = "day"
+    is_list: Annotated[bool, typer.Option("--list", help="List the scripts, and end.")] = False
+    speed: Annotated[float, typer.Option(min=0.1, max=10, help="Factor on four stones a second.")] = 1.0
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the daemon; 0: a free one.")] = 8080
     folder: Annotated[
         Path | None,
         typer.Option(help="Folder to keep store and log in, empty or new; default: a temporary one."),
-    ] = None,
+    ] = None
     linger_s: Annotated[
         float, typer.Option(min=0, help="Time for clients to read the last results, before the daemon ends.")
-    ] = 15.0,
-    language: Annotated[Language, typer.Option(help="Of the alarms' causes and actions.")] = Language.ENGLISH,
+    ] = 15.0
+    language: Annotated[Language, typer.Option(help="Of the alarms' causes and actions.")] = Language.ENGLISH
     as_json: Annotated[
         bool,
         typer.Option("--json", help="Print what a client should have seen as JSON; the rest goes to stderr."),
-    ] = False,
-) -> None:
+    ] = False
+
+
+@with_options
+def command(options: RehearseOptions) -> None:
     """Rehearse a day: a simulated rig, a daemon of its own, sample lots, and what goes wrong at a plant.
 
     Let your client follow the address that is printed. The command ends with what the client should have seen, and with
     each alarm, its cause and what to do.
     """
-    if is_list:
+    if options.is_list:
         _print_scripts()
         return
-    chosen = script_of(script)
-    port = port or free_port()
+    chosen = script_of(options.script)
+    port = options.port or free_port()
     if not is_free(port):
         raise UsageError(f"--port {port}: something else listens there")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     with ExitStack() as running:
-        where = _folder(folder, running)
+        where = _folder(options.folder, running)
 
         def say(text: str) -> None:
-            typer.echo(f"{time.strftime('%H:%M:%S')}  {text}", err=as_json)
-            (sys.stderr if as_json else sys.stdout).flush()
+            typer.echo(f"{time.strftime('%H:%M:%S')}  {text}", err=options.as_json)
+            (sys.stderr if options.as_json else sys.stdout).flush()
 
         say(f"{chosen.name}: {chosen.title}")
-        rig = running.enter_context(_rig(chosen, speed, where))
+        rig = running.enter_context(_rig(chosen, options.speed, where))
         settings = merged(merged(SETTINGS, rig.settings()), chosen.settings)
         daemon = RehearsedDaemon(where, settings, port, has_own_clock=chosen.has_own_clock)
         running.callback(daemon.stop)
         daemon.start()
         rig.rest(daemon)
         say(f"follow http://{HOST}:{port}/api/v1/results with your client")
-        expected = Day(chosen, daemon, rig, say, language).play()
+        expected = Day(chosen, daemon, rig, say, options.language).play()
         say("the day is over; a correct client has seen:")
-        typer.echo(json.dumps(expected.document()) if as_json else as_text(expected))
+        typer.echo(json.dumps(expected.document()) if options.as_json else as_text(expected))
         sys.stdout.flush()
-        say(f"the daemon ends in {linger_s:g} s")
-        time.sleep(linger_s)
+        say(f"the daemon ends in {options.linger_s:g} s")
+        time.sleep(options.linger_s)
 
 
 def _folder(wanted: Path | None, running: ExitStack) -> Path:

@@ -9,6 +9,7 @@ import sys
 import tempfile
 import threading
 from contextlib import redirect_stdout
+from dataclasses import dataclass
 from enum import StrEnum
 from ipaddress import AddressValueError, IPv4Address
 from pathlib import Path
@@ -19,6 +20,7 @@ import typer
 from drivers.files.recording import open_recording
 from drivers.gige_simulator.rig import RigDesign, SimulatedRig
 from service.base.errors import UsageError
+from service.commands.options import with_options
 from service.results.version import ALGORITHM_VERSION
 
 POLL_S = 0.1
@@ -33,84 +35,92 @@ class BeltStart(StrEnum):
     MANUAL = "manual"
 
 
-def command(
+@dataclass(frozen=True, slots=True)
+class SimulateOptions:
+    """Options of `stonefall simulate`."""
+
     recording: Annotated[
         Path | None,
         typer.Argument(help="Recording that is played; default: --bodies, rendered once and kept."),
-    ] = None,
+    ] = None
     address: Annotated[
         str, typer.Option(help="IP address of the first camera; the others get the next ones.")
-    ] = "127.0.0.2",
+    ] = "127.0.0.2"
     cameras: Annotated[
         int | None,
         typer.Option(min=1, help="Number of cameras, the first ones of the recording; default: all."),
-    ] = None,
-    rate: Annotated[float, typer.Option(min=0.01, max=1000, help="Stones per second.")] = 4.0,
+    ] = None
+    rate: Annotated[float, typer.Option(min=0.01, max=1000, help="Stones per second.")] = 4.0
     start: Annotated[
         BeltStart,
         typer.Option(
             help="auto: as soon as all cameras acquire and the gate is open; manual: on request at the control socket."
         ),
-    ] = BeltStart.AUTO,
-    loop: Annotated[bool, typer.Option("--loop", help="Start again at the end of the recording.")] = False,
-    once: Annotated[
-        bool, typer.Option("--once", help="Exit when everything has fallen and was sent.")
-    ] = False,
+    ] = BeltStart.AUTO
+    loop: Annotated[bool, typer.Option("--loop", help="Start again at the end of the recording.")] = False
+    once: Annotated[bool, typer.Option("--once", help="Exit when everything has fallen and was sent.")] = (
+        False
+    )
     gate_link: Annotated[
         Path | None, typer.Option(help="Path of the gate's serial port; default: a temporary one.")
-    ] = None,
+    ] = None
     control: Annotated[
         Path | None, typer.Option(help="Path of the control socket; default: in a temporary folder.")
-    ] = None,
+    ] = None
     uplink: Annotated[
         float | None,
         typer.Option(min=1, help="Rate that all cameras share behind a switch, MB/s; default: no limit."),
-    ] = None,
+    ] = None
     seed: Annotated[
         int, typer.Option(min=0, help="Equal seeds give equal clocks, faults and rendered bodies.")
-    ] = 0,
-    bodies: Annotated[str, typer.Option(help="What to render, as in `stonefall synthesize`.")] = "stones",
-    count: Annotated[int, typer.Option(min=1, max=1000, help="Number of bodies to render.")] = 10,
+    ] = 0
+    bodies: Annotated[str, typer.Option(help="What to render, as in `stonefall synthesize`.")] = "stones"
+    count: Annotated[int, typer.Option(min=1, max=1000, help="Number of bodies to render.")] = 10
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the addresses, and counters at the end, as JSON.")
-    ] = False,
-) -> None:
+    ] = False
+
+
+@with_options
+def command(options: SimulateOptions) -> None:
     """Simulate a rig: GigE Vision cameras on loopback, a light gate on a pseudo-terminal, and a belt.
 
     Requests to the control socket are JSON objects, one a line: {"do": "help"} lists them.
     """
-    if loop and once:
+    if options.loop and options.once:
         raise typer.BadParameter("cannot be combined with --loop, which never ends", param_hint="--once")
     try:
-        IPv4Address(address)
+        IPv4Address(options.address)
     except AddressValueError as err:
         raise typer.BadParameter(str(err), param_hint="--address") from err
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    source = open_recording(recording or _rendered_recording(bodies, count, seed))
-    if cameras is not None and cameras > len(source.camera_ids):
-        raise UsageError(f"{source.path} has {len(source.camera_ids)} cameras, not {cameras}")
+    source = open_recording(
+        options.recording or _rendered_recording(options.bodies, options.count, options.seed)
+    )
+    if options.cameras is not None and options.cameras > len(source.camera_ids):
+        raise UsageError(f"{source.path} has {len(source.camera_ids)} cameras, not {options.cameras}")
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     with tempfile.TemporaryDirectory(prefix="stonefall-simulate-") as folder:
         design = RigDesign(
-            gate_link=gate_link or Path(folder, "gate"),
-            control=control or Path(folder, "control"),
-            first_address=address,
-            n_cameras=cameras,
-            rate_hz=rate,
-            is_looping=loop,
-            uplink_bytes_s=uplink and uplink * 1e6,
-            seed=seed,
+            gate_link=options.gate_link or Path(folder, "gate"),
+            control=options.control or Path(folder, "control"),
+            first_address=options.address,
+            n_cameras=options.cameras,
+            rate_hz=options.rate,
+            is_looping=options.loop,
+            uplink_bytes_s=options.uplink and options.uplink * 1e6,
+            seed=options.seed,
         )
         with SimulatedRig(design, source) as rig:
-            if start is BeltStart.AUTO:
+            if options.start is BeltStart.AUTO:
                 rig.belt.start_when(lambda: rig.is_ready)
-            typer.echo(json.dumps(_document(design, rig)) if as_json else _text(design, rig))
+            typer.echo(json.dumps(_document(design, rig)) if options.as_json else _text(design, rig))
             sys.stdout.flush()
-            while not (stop.wait(POLL_S) or (once and rig.is_over)):
+            while not (stop.wait(POLL_S) or (options.once and rig.is_over)):
                 pass
-    if as_json:
+    if options.as_json:
         typer.echo(json.dumps(rig.counters()))
 
 

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from drivers.files.recording import RecordingWriter
+from drivers.files.recording import RecordingSource, RecordingWriter
 from drivers.files.rig_file import read_rig, write_rig
 from pipeline.errors import MeshError
 from pipeline.fall import GRAVITY_MM_S2, Fall
@@ -19,7 +19,14 @@ from pipeline.frames import BundleKind, rfc3339
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, SurfaceKind, ball, body_from_mesh, cube, cylinder, sphere
-from pipeline.synthesis.bundles import FIRST_UTC, TRIGGER_DELAY_NS, render_bundle, render_empty, stream
+from pipeline.synthesis.bundles import (
+    FIRST_UTC,
+    TRIGGER_DELAY_NS,
+    Timing,
+    render_bundle,
+    render_empty,
+    stream,
+)
 from pipeline.synthesis.exposure import BLUR_PX, LENS_PRESETS, LensPreset
 from pipeline.synthesis.placement import SPREAD_MM, drop_across, tumble
 from pipeline.synthesis.renderer import simulate_rig
@@ -27,6 +34,7 @@ from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
 from pipeline.synthesis.truth import truth_of, truth_to_document
 from service.base.errors import UsageError
 from service.commands.looks import GlossOption, InterreflectionOption, SurfacesOption, looks_of
+from service.commands.options import with_options
 from service.commands.shape import read_mesh
 
 STANDARDS: dict[str, Callable[[], Body]] = {
@@ -48,8 +56,11 @@ BodySource = Callable[[int, np.random.Generator], tuple[Body, ShapeMeasurement]]
 """Returns the body, and its true shape, that an item of `--bodies` stands for in the n-th round (from 0)."""
 
 
-def command(
-    out: Annotated[Path, typer.Argument(help="Folder of the recording; must not exist, or be empty.")],
+@dataclass(frozen=True, slots=True)
+class SynthesizeOptions:
+    """Options of `stonefall synthesize`."""
+
+    out: Annotated[Path, typer.Argument(help="Folder of the recording; must not exist, or be empty.")]
     bodies: Annotated[
         str,
         typer.Option(
@@ -57,47 +68,47 @@ def command(
             f"ball:15), {STONES} "
             f"(in turn {', '.join(STONE_FORMS)}), one of these classes, or mesh files in mm."
         ),
-    ] = f"{','.join(STANDARDS)},{STONES}",
-    count: Annotated[int, typer.Option(min=0, max=100_000, help="Number of bodies.")] = 10,
-    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal images.")] = 0,
+    ] = f"{','.join(STANDARDS)},{STONES}"
+    count: Annotated[int, typer.Option(min=0, max=100_000, help="Number of bodies.")] = 10
+    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal images.")] = 0
     rig: Annotated[
         Path | None,
         typer.Option(help="Rig file of the cameras; default: the design with seeded deviations."),
-    ] = None,
+    ] = None
     backgrounds: Annotated[
         int, typer.Option(min=0, max=1000, help="Number of exposures of the empty rig, before the bodies.")
-    ] = 5,
+    ] = 5
     size_mm: Annotated[
         float | None,
         typer.Option(min=1, max=45, help="Greatest diameter of the stones, mm; default: 5 to 40, at random."),
-    ] = None,
+    ] = None
     exposure_us: Annotated[
         float, typer.Option(min=0, max=1000, help="Exposure time, us; motion blur is 1 px in 20 us.")
-    ] = 20.0,
+    ] = 20.0
     lens: Annotated[
         LensPreset,
         typer.Option(
             help="Lens of 25 mm, focused at 300 mm, at an f-number (f2 as published), with depth blur, vignetting and "
             "glare; sharp: the same small blur for everything."
         ),
-    ] = LensPreset.SHARP,
+    ] = LensPreset.SHARP
     blur_px: Annotated[
         float | None,
         typer.Option(
             min=BLUR_PX[0], max=BLUR_PX[1], help="Blur (sigma) of a point in focus, px; default: the lens's."
         ),
-    ] = None,
+    ] = None
     read_noise: Annotated[
         float | None,
         typer.Option(
             min=0, max=50, help="Noise (sigma) of the sensor in the dark, grey levels; default: 0.8."
         ),
-    ] = None,
-    rate_hz: Annotated[float, typer.Option(min=0.01, max=100, help="Triggers per second.")] = 4.0,
+    ] = None
+    rate_hz: Annotated[float, typer.Option(min=0.01, max=100, help="Triggers per second.")] = 4.0
     spread_mm: Annotated[
         tuple[float, float, float],
         typer.Option(metavar="X Y Z", help="Balls fall up to this far from the centre, mm."),
-    ] = SPREAD_MM,
+    ] = SPREAD_MM
     fall_jitter_ms: Annotated[
         float,
         typer.Option(
@@ -105,72 +116,77 @@ def command(
             max=MAX_FALL_JITTER_MS,
             help="Balls are exposed up to this much early or late, ms, and so higher or lower.",
         ),
-    ] = 0.0,
-    surfaces: SurfacesOption = SurfaceKind.MOTTLED.value,
-    gloss: GlossOption = 0.0,
-    interreflection: InterreflectionOption = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
-) -> None:
+    ] = 0.0
+    surfaces: SurfacesOption = SurfaceKind.MOTTLED.value
+    gloss: GlossOption = 0.0
+    interreflection: InterreflectionOption = False
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False
+
+
+@with_options
+def command(options: SynthesizeOptions) -> None:
     """Render a recording of known bodies as the cameras would see them, with their true shapes beside it."""
-    if backgrounds + count == 0:
+    if options.backgrounds + options.count == 0:
         raise typer.BadParameter("there is nothing to render", param_hint="--count")
-    if not all(0 <= each <= MAX_RADIUS_MM for each in spread_mm):
+    if not all(0 <= each <= MAX_RADIUS_MM for each in options.spread_mm):
         raise typer.BadParameter(
-            f"{spread_mm}: each must be 0 to {MAX_RADIUS_MM:g}", param_hint="--spread-mm"
+            f"{options.spread_mm}: each must be 0 to {MAX_RADIUS_MM:g}", param_hint="--spread-mm"
         )
-    looks = looks_of(surfaces, gloss, interreflection)
-    exposure = replace(LENS_PRESETS[lens], exposure_us=exposure_us)
-    if blur_px is not None:
-        exposure = replace(exposure, blur_px=blur_px)
-    if read_noise is not None:
-        exposure = replace(exposure, read_noise=read_noise)
+    looks = looks_of(options.surfaces, options.gloss, options.interreflection)
+    exposure = replace(LENS_PRESETS[options.lens], exposure_us=options.exposure_us)
+    if options.blur_px is not None:
+        exposure = replace(exposure, blur_px=options.blur_px)
+    if options.read_noise is not None:
+        exposure = replace(exposure, read_noise=options.read_noise)
     design = nominal_rig(created_at=rfc3339(FIRST_UTC, "auto"))
-    true_rig = as_built(design, seed) if rig is None else read_rig(rig)
-    names = [name.strip() for name in bodies.split(",")]
+    true_rig = as_built(design, options.seed) if options.rig is None else read_rig(options.rig)
+    names = [name.strip() for name in options.bodies.split(",")]
     writer = RecordingWriter(
-        out,
-        camera_ids=true_rig.camera_ids,
-        image_size_px=true_rig.cameras[0].image_size_px,
-        rig=true_rig,
-        is_simulated=True,
+        options.out,
+        RecordingSource(
+            camera_ids=true_rig.camera_ids,
+            rig=true_rig,
+            is_simulated=True,
+            camera_settings={"exposure_us": options.exposure_us},
+            gate_settings={"trigger_delay_ms": TRIGGER_DELAY_NS / 1e6, "rate_hz": options.rate_hz},
+        ),
         made_by={
             "command": "synthesize",
             "bodies": names,
-            "count": count,
-            "seed": seed,
-            "size_mm": size_mm,
+            "count": options.count,
+            "seed": options.seed,
+            "size_mm": options.size_mm,
             "looks": asdict(looks),
-            "spread_mm": list(spread_mm),
-            "fall_jitter_ms": fall_jitter_ms,
-            "exposure": {"preset": lens.value, **asdict(exposure)},
-            "rig": "rig.json took the images" + ("; rig-nominal.json is its design" if rig is None else ""),
+            "spread_mm": list(options.spread_mm),
+            "fall_jitter_ms": options.fall_jitter_ms,
+            "exposure": {"preset": options.lens.value, **asdict(exposure)},
+            "rig": "rig.json took the images"
+            + ("; rig-nominal.json is its design" if options.rig is None else ""),
             "truth": "truth.jsonl; truth/*.ply in world coordinates in the middle of the exposure",
         },
-        camera_settings={"exposure_us": exposure_us},
-        gate_settings={"trigger_delay_ms": TRIGGER_DELAY_NS / 1e6, "rate_hz": rate_hz},
     )
     with writer:
-        sources = [_body_source(name, size_mm) for name in names]
-        simulated = simulate_rig(true_rig, stream(seed, HOUSING), exposure)
-        if rig is None:
+        sources = [_body_source(name, options.size_mm) for name in names]
+        simulated = simulate_rig(true_rig, stream(options.seed, HOUSING), exposure)
+        if options.rig is None:
             write_rig(writer.folder / "rig-nominal.json", design)
         (writer.folder / "truth").mkdir()
         with (writer.folder / "truth.jsonl").open("w", encoding="utf-8") as truth_lines:
-            period_ns = round(1e9 / rate_hz)
-            numbers = range(1, backgrounds + count + 1)
+            timing = Timing(period_ns=round(1e9 / options.rate_hz))
+            numbers = range(1, options.backgrounds + options.count + 1)
             for sequence in track(numbers, "synthesizing", console=Console(stderr=True)):
-                index = sequence - 1 - backgrounds
+                index = sequence - 1 - options.backgrounds
                 if index < 0:
-                    rng = stream(seed, BACKGROUND, sequence)
-                    writer.add(render_empty(simulated, rng, sequence=sequence, period_ns=period_ns))
+                    rng = stream(options.seed, BACKGROUND, sequence)
+                    writer.add(render_empty(simulated, rng, sequence=sequence, timing=timing))
                     continue
                 source, round_number = sources[index % len(sources)], index // len(sources)
-                rng = stream(seed, PARTICLE, index)
+                rng = stream(options.seed, PARTICLE, index)
                 body, shape = source(round_number, rng)
                 body = looks.of(body, round_number)
                 if body.kind is BundleKind.BALL:
-                    late_ms = fall_jitter_ms * float(rng.uniform(-1, 1))
-                    placed = drop_across(body, true_rig, rng, spread_mm, _fallen_mm(late_ms))
+                    late_ms = options.fall_jitter_ms * float(rng.uniform(-1, 1))
+                    placed = drop_across(body, true_rig, rng, options.spread_mm, _fallen_mm(late_ms))
                 else:
                     late_ms, placed = 0.0, tumble(body, true_rig, rng)
                 bundle = render_bundle(
@@ -179,22 +195,22 @@ def command(
                     rng,
                     sequence=sequence,
                     label=body.name,
-                    kind=body.kind,
-                    period_ns=period_ns,
-                    delay_ns=TRIGGER_DELAY_NS + round(late_ms * 1e6),
+                    timing=replace(timing, delay_ns=TRIGGER_DELAY_NS + round(late_ms * 1e6)),
                 )
                 truth = truth_of(placed, bundle, shape)
                 writer.add(bundle)
                 truth.mesh.export(writer.folder / "truth" / f"{bundle.name}.ply")
                 truth_lines.write(json.dumps(truth_to_document(truth), allow_nan=False) + "\n")
     summary = {
-        "recording": str(out),
-        "backgrounds": backgrounds,
-        "bodies": count,
+        "recording": str(options.out),
+        "backgrounds": options.backgrounds,
+        "bodies": options.count,
         "rig": true_rig.calibration_id,
     }
     typer.echo(
-        json.dumps(summary) if as_json else f"{out}: {count} bodies, {backgrounds} exposures of the empty rig"
+        json.dumps(summary)
+        if options.as_json
+        else f"{options.out}: {options.count} bodies, {options.backgrounds} exposures of the empty rig"
     )
 
 

@@ -20,6 +20,7 @@ from drivers.cameras.genicam import (
 )
 from drivers.cameras.host_trigger import ActionKeys
 from drivers.factory import AravisBackend, Devices, GateDevice, ReplayBackend
+from drivers.files.recording import RecordingSource
 from drivers.gates.gpio import GpioGateSettings
 from drivers.gates.modem_line import ModemLineSettings
 from drivers.gates.serial_gate import SerialGateSettings
@@ -28,7 +29,6 @@ from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.base.configured_paths import ConfiguredPath, resolve_path
 from service.bundling.parameters import BundlingParameters
-from service.recording.live_recording import RecordingSource
 
 OPTICAL = ("cameras", "exposure_us", "flash_us", "strobe_line", "gain_db", "features")
 """Settings of a live rig that change the images of its cameras."""

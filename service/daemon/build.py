@@ -9,11 +9,12 @@ from dataclasses import asdict
 from pathlib import Path
 
 from drivers.factory import Devices, build_devices
+from drivers.files.recording import RecordingSource
 from drivers.files.rig_file import read_rig
 from drivers.replay.belt import ReplayBelt
 from pipeline.frames import CameraId, FrameBundle
 from pipeline.rig.cameras import RigCalibration
-from service.acquisition.acquisition import Acquisition
+from service.acquisition.acquisition import Acquisition, AcquisitionParameters
 from service.api.key_ring import KeyRing
 from service.api.metrics import result_delays
 from service.calibration.calibrations import Calibrations
@@ -41,11 +42,10 @@ from service.processing.bundle_files import BundleFiles
 from service.processing.left_bundles import LeftBundle, bundles_in, take_over
 from service.processing.measure_job import WorkerContext, prepare
 from service.processing.observers import WatchedResults
-from service.processing.processing import Processing, ProcessingContext
+from service.processing.processing import Processing, ProcessingContext, ProcessingObserver
 from service.processing.quarantine import Quarantine
 from service.processing.spool import Spool
 from service.processing.worker_pool import WorkerPool
-from service.recording.live_recording import RecordingSource
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings, open_recordings
 from service.remeasuring.remeasuring import Remeasuring, new_pool
@@ -113,16 +113,17 @@ async def build(configured: Configuration, store: Store) -> Daemon:
 
     acquisition = Acquisition(
         devices,
-        session=session,
+        AcquisitionParameters(
+            session=session,
+            bundling=settings.rig.bundling_for(settings.bundling),
+            min_cameras=settings.views.min,
+            empty_rig=settings.empty_rig,
+        ),
         triggers=store,
-        bundling=settings.rig.bundling_for(settings.bundling),
-        min_cameras=settings.views.min,
-        empty_rig=settings.empty_rig,
         # a recording has the kind of each bundle
         is_ball=lambda: devices.belt is None and calibrations.wants_balls,
         on_bundle=on_bundle,
         on_progress=lambda: heartbeats.beat(Part.ACQUISITION, time.monotonic()),
-        store_trouble=lambda: _store_trouble(store),
         on_state=lambda state, trouble: events.note(acquisition_changed(state, trouble)),
     )
     worker_context = WorkerContext(
@@ -156,17 +157,19 @@ async def build(configured: Configuration, store: Store) -> Daemon:
             checked=False,  # this process has just written the pixels
             # without real time the belt waits for each bundle, and a replay gives equal results each time
             can_rush=devices.belt is None or devices.belt.pace == "recorded",
+            kept_background=_kept_background(settings, initial_rig),
         ),
         spool=spool,
         pool=pool,
         results=WatchedResults(store, watches.rig, watches.optics, watches.refinement),
         calibration=calibrations,
-        kept_background=_kept_background(settings, initial_rig),
+        observer=ProcessingObserver(
+            on_progress=lambda: heartbeats.beat(Part.PROCESSING, time.monotonic()),
+            on_empty_rig=watches.optics.feed_optics,
+            on_network=watches.segmentation.feed,
+            on_outcome=on_outcome,
+        ),
         quarantine=quarantine,
-        on_empty_rig=watches.optics.feed_optics,
-        on_network=watches.segmentation.feed,
-        on_progress=lambda: heartbeats.beat(Part.PROCESSING, time.monotonic()),
-        on_outcome=on_outcome,
     )
     return Daemon(
         configured=configured,

@@ -12,7 +12,6 @@ from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.indices import is_flaky, is_non_cubical
 from pipeline.gradation.influences import Influences, share_influences, size_influences
 from pipeline.gradation.sieves import MeasuredRange
-from pipeline.gradation.stones import lot_of
 from service.base.status import Report
 from service.lots.evaluation import figures_of
 from service.lots.figures import LotFigures, named_figures
@@ -148,14 +147,13 @@ def _influences(
     stones: Stones, sieves_mm: list[float], measured: MeasuredRange
 ) -> Iterator[tuple[str, Influences | None]]:
     """Yield the figures by their names, each with the influences of the measured stones in their order."""
-    lot = lot_of(stones.stones)
     for sieve_mm in sieves_mm:
         is_inside = sieve_mm in measured
         yield (
             f"passing_{sieve_mm:g}_mm_percent",
-            share_influences(lot, passes(sieve_mm)) if is_inside else None,
+            share_influences(stones.lot, passes(sieve_mm)) if is_inside else None,
         )
     for percent in PERCENTS:
-        yield f"d{percent}_mm", size_influences(lot, percent, measured)
-    yield "flakiness_percent", share_influences(lot, is_flaky(measured))
-    yield "shape_percent", share_influences(lot, is_non_cubical(measured))
+        yield f"d{percent}_mm", size_influences(stones.lot, percent, measured)
+    yield "flakiness_percent", share_influences(stones.lot, is_flaky(measured))
+    yield "shape_percent", share_influences(stones.lot, is_non_cubical(measured))

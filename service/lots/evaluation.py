@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 from pipeline.frames import rfc3339
 from pipeline.gradation.correlation import correlated
@@ -15,7 +16,7 @@ from pipeline.gradation.estimators import sample_of
 from pipeline.gradation.evaluation import Gradation, evaluate
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.specification import Judgement, LotJudgement, Specification, Verdict, judge
-from pipeline.gradation.stones import Fate, Lot, lot_of
+from pipeline.gradation.stones import Fate, Lot
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
 from service.lots.figures import (
     CorrelatedCurve,
@@ -77,7 +78,7 @@ def window_figures(
     if product is not None and found is None:
         return None
     stones = stones_between(connection, since, until)
-    return figures_of(stones, request, found, None, stones_per_s(connection))
+    return figures_of(stones, request, found, rate_per_s=stones_per_s(connection))
 
 
 def stones_per_s(connection: sqlite3.Connection) -> float:
@@ -103,57 +104,73 @@ def figures_of(
     """Return the figures of stones, with the verdict by the specification of their product or of the request."""
     definition = None if product is None else product.definition
     yardstick = yardstick_of(definition, request)
-    specification, scale_sd = yardstick.specification, LENGTH_SD_PERCENT / 100
-    lot = lot_of(stones.stones)
-    gradation = evaluate(lot, yardstick.apertures_mm, measured=yardstick.measured, scale_sd=scale_sd)
+    specification = yardstick.specification
+    gradation = evaluate(
+        stones.lot, yardstick.apertures_mm, measured=yardstick.measured, scale_sd=LENGTH_SD_PERCENT / 100
+    )
     judgement = None if specification is None else judge(specification, gradation)
-    fates: Counter[Fate] = Counter()
-    for (fate, _), n_stones in lot.counts.items():
-        fates[fate] += n_stones
     upper_mm = None if definition is None else definition.upper_mm
     return LotFigures(
         lot=None if record is None else lot_document(record),
         product=None if product is None else _product(product, specification),
-        since=stones.since,
-        until=stones.until,
-        triggers=sum(fates.values()),
-        measured=fates[Fate.MEASURED],
-        rejected=fates[Fate.REJECTED],
-        lost=fates[Fate.LOST],
-        by_quality={word: n for (fate, word), n in lot.counts.items() if fate is Fate.MEASURED},
-        by_body=stones.by_body,
-        not_refined=stones.not_refined,
+        **_account(stones),
         mass_kg=None if definition is None else gradation.volume_mm3 * 1e-9 * definition.density_kg_m3,
         n_effective=gradation.n_effective,
         sieve_set=yardstick.sieves.name,
         specification=None if specification is None else specification.name,
         specification_source=None if specification is None else specification.source,
         curve=_curve(gradation, judgement, rate_per_s),
-        correlated=None if correlation is None else _correlated(lot, correlation, yardstick, scale_sd),
+        correlated=None if correlation is None else _correlated(stones.lot, correlation, yardstick),
         quantiles=_quantiles(gradation),
         indices=_indices(gradation),
-        flakiness_decision=_decision(None if judgement is None else judgement.flakiness, rate_per_s),
-        shape_decision=_decision(None if judgement is None else judgement.shape, rate_per_s),
-        verdict=None if judgement is None else judgement.verdict,
-        is_partial=judgement is not None and judgement.is_partial,
-        countdown=None if judgement is None else countdown(judgement, rate_per_s),
+        **_verdict(judgement, rate_per_s),
         unmeasured=_unmeasured(gradation),
         least_portion_kg=None
         if upper_mm is None
         else standards().least_portions[LEAST_PORTIONS].least_kg(upper_mm),
         scale_sd_percent=LENGTH_SD_PERCENT,
-        calibration_ids=list(stones.calibration_ids),
-        algorithm_versions=list(stones.algorithm_versions),
-        is_simulated=stones.is_simulated,
-        is_replay=stones.is_replay,
     )
 
 
-def passing_of(
-    stones: Stones, apertures_mm: Sequence[float], measured: MeasuredRange
-) -> dict[float, Estimate]:
+def _account(stones: Stones) -> dict[str, Any]:
+    """Return the fields of the figures that count the stones and name where they are from."""
+    fates: Counter[Fate] = Counter()
+    for (fate, _), n_stones in stones.lot.counts.items():
+        fates[fate] += n_stones
+    return {
+        "triggers": sum(fates.values()),
+        "measured": fates[Fate.MEASURED],
+        "rejected": fates[Fate.REJECTED],
+        "lost": fates[Fate.LOST],
+        "by_quality": {word: n for (fate, word), n in stones.lot.counts.items() if fate is Fate.MEASURED},
+        "by_body": stones.by_body,
+        "not_refined": stones.not_refined,
+        "since": stones.since,
+        "until": stones.until,
+        "calibration_ids": list(stones.calibration_ids),
+        "algorithm_versions": list(stones.algorithm_versions),
+        "is_simulated": stones.is_simulated,
+        "is_replay": stones.is_replay,
+    }
+
+
+def _verdict(judgement: LotJudgement | None, rate_per_s: float) -> dict[str, Any]:
+    """Return the fields of the figures that the specification decides."""
+    if judgement is None:
+        undecided = ("flakiness_decision", "shape_decision", "verdict", "countdown")
+        return {"is_partial": False, **dict.fromkeys(undecided)}
+    return {
+        "flakiness_decision": _decision(judgement.flakiness, rate_per_s),
+        "shape_decision": _decision(judgement.shape, rate_per_s),
+        "verdict": judgement.verdict,
+        "is_partial": judgement.is_partial,
+        "countdown": countdown(judgement, rate_per_s),
+    }
+
+
+def passing_of(lot: Lot, apertures_mm: Sequence[float], measured: MeasuredRange) -> dict[float, Estimate]:
     """Return the passing by mass at these sieves, percent."""
-    sample = sample_of(lot_of(stones.stones), LENGTH_SD_PERCENT / 100)
+    sample = sample_of(lot, LENGTH_SD_PERCENT / 100)
     return {point.sieve_mm: point.by_mass for point in curve_of(sample, apertures_mm, measured)}
 
 
@@ -214,18 +231,17 @@ def _curve(gradation: Gradation, judgement: LotJudgement | None, rate_per_s: flo
     ]
 
 
-def _correlated(lot: Lot, correlation: Correlation, yardstick: Yardstick, scale_sd: float) -> CorrelatedCurve:
+def _correlated(lot: Lot, correlation: Correlation, yardstick: Yardstick) -> CorrelatedCurve:
     found = correlation.study
-    seen = evaluate(
-        correlated(lot, found.mapping), yardstick.apertures_mm, measured=yardstick.measured, scale_sd=scale_sd
-    )
+    passing = passing_of(correlated(lot, found.mapping), yardstick.apertures_mm, yardstick.measured)
     return CorrelatedCurve(
         version=correlation.version,
         factor=found.mapping.factor,
         n_lots=found.n_lots,
         held_out_rmse=found.held_out_rmse,
         curve=[
-            CorrelatedStep(sieve_mm=point.sieve_mm, passing_percent=point.by_mass) for point in seen.curve
+            CorrelatedStep(sieve_mm=sieve_mm, passing_percent=percent)
+            for sieve_mm, percent in passing.items()
         ],
     )
 

@@ -9,7 +9,6 @@ from typing import Any
 
 from drivers.files.times import utc_now
 from pipeline.gradation.correlation import Form, SievedLot, SizeMapping, Study, study
-from pipeline.gradation.stones import lot_of
 from service.base.errors import ServiceError, TooManyError
 from service.lots.lots import LotState, lots
 from service.lots.stored_stones import stones_of_lot
@@ -182,7 +181,7 @@ def study_of(connection: sqlite3.Connection, product: str, form: Form) -> Study:
         No lot has both stones and a sieving that tell a size.
     """
     sieved = [
-        SievedLot(lot=lot_of(stones_of_lot(connection, name).stones), passing=each.document.passing_percent)
+        SievedLot(lot=stones_of_lot(connection, name).lot, passing=each.document.passing_percent)
         for name in _sieved_lots(connection, product)
         for each in sievings(connection, name)
     ]

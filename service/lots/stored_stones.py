@@ -9,7 +9,7 @@ from operator import itemgetter
 from typing import Any
 
 from pipeline.frames import BundleKind
-from pipeline.gradation.stones import Fate, Stone, UnmeasuredStone
+from pipeline.gradation.stones import Fate, Lot, Stone, UnmeasuredStone, lot_of
 from service.base.errors import ServiceError
 from service.base.schema import ANSWER, Time
 from service.lots.stones import SIZES, stone_of
@@ -40,7 +40,7 @@ ALL_STONES = Choice()
 class Stones:
     """Stones with what is known of them together."""
 
-    stones: Sequence[Stone | UnmeasuredStone]
+    lot: Lot
     measured_ids: Sequence[str]  # of the measured ones, in their order; empty texts where records have none
     by_body: Mapping[str, int]  # how many of the measured ones, as far as it is known
     not_refined: Mapping[str, int]  # how many of the estimates among them, by `NotRefined`
@@ -189,7 +189,7 @@ def stones_in(records: Sequence[Mapping[str, Any]]) -> Stones:
         if body == "estimate" and fallback is not None:
             whys[why_not_refined(fallback)] += n_stones
     return Stones(
-        stones=stones,
+        lot=lot_of(stones),
         measured_ids=[record.get("id", "") for record in measured],
         by_body=dict(by_body.most_common()),
         not_refined=dict(whys.most_common()),

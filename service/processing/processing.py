@@ -113,6 +113,17 @@ class ProcessingContext:
     folder: Path  # exists; for the workers' files until the store has them
     checked: bool = True  # whether pixels are compared with their checksums, a pass over all of them
     can_rush: bool = False  # whether bodies are not refined while other bundles wait
+    kept_background: KeptBackground | None = None  # of the last session, for the next one; None: none is kept
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProcessingObserver:
+    """Functions that are called as bundles are processed."""
+
+    on_progress: Callable[[], None]  # after every commit and at no other time
+    on_empty_rig: Callable[[Mapping[str, Any]], None] = lambda optics: None  # optics of each exposure of it
+    on_network: Callable[[NetworkUse], None] = lambda use: None  # in each measured bundle
+    on_outcome: Callable[[float], None] = lambda delay_s: None  # from each trigger to its durable outcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,12 +158,7 @@ class _Turn:
 
 
 class Processing:
-    """Processes the bundles of a spool: `run` is its task, `abandon` ends it early.
-
-    `on_empty_rig` is called with the optics of each exposure of the empty rig, `on_network` with the use of the network
-    in each measured bundle, `on_outcome` with the seconds from each trigger of this session to its durable outcome,
-    `on_progress` after every commit and at no other time.
-    """
+    """Processes the bundles of a spool: `run` is its task, `abandon` ends it early."""
 
     def __init__(
         self,
@@ -162,25 +168,18 @@ class Processing:
         pool: JobPool,
         results: ResultSink,
         calibration: CalibrationInUse,
-        kept_background: KeptBackground | None = None,
+        observer: ProcessingObserver,
         quarantine: Quarantine | None = None,
-        on_empty_rig: Callable[[Mapping[str, Any]], None] = lambda optics: None,
-        on_network: Callable[[NetworkUse], None] = lambda use: None,
-        on_outcome: Callable[[float], None] = lambda delay_s: None,
-        on_progress: Callable[[], None],
     ) -> None:
         self._context = context
         self._spool = spool
         self._pool = pool
         self._results = results
         self._calibration = calibration
-        self._on_empty_rig = on_empty_rig
-        self._on_network = on_network
-        self._on_outcome = on_outcome
-        self._on_progress = on_progress
+        self._observer = observer
         self._jobs: set[asyncio.Task[_Measured | LearntBackground | Loss]] = set()
         self._is_abandoned = False
-        self._kept_background = kept_background
+        self._kept_background = context.kept_background
         self._quarantine = quarantine
         self._keeping: asyncio.Task[None] | None = None
         self._backgrounds = BackgroundVersions()
@@ -259,9 +258,9 @@ class Processing:
                 tasks.create_task(self._remove(path, self._keeping))
             seq = await self._commit(turn, tasks)
             if turn.bundle.left is None and not turn.bundle.is_background:
-                self._on_outcome((time.monotonic_ns() - turn.bundle.trigger.received_ns) / 1e9)
+                self._observer.on_outcome((time.monotonic_ns() - turn.bundle.trigger.received_ns) / 1e9)
             await self._spool.release(turn.bundle, seq)
-            self._on_progress()
+            self._observer.on_progress()
 
     async def _commit(self, turn: _Turn, tasks: asyncio.TaskGroup) -> int | None:
         """Make the outcome durable; return the number of a result that was measured or rejected, else None."""
@@ -269,7 +268,7 @@ class Processing:
         session = self._session_of(bundle)
         match outcome := turn.outcome:
             case LearntBackground(path, optics):
-                self._on_empty_rig(optics)
+                self._observer.on_empty_rig(optics)
                 if self._keeping is not None:
                     await self._keeping
                 if self._kept_background is not None:  # as a task: stones do not wait for the disk
@@ -296,7 +295,7 @@ class Processing:
                 if (verified := self._calibration.verified) is not None:
                     record = {**record, "verification": verified}
                 seq = await self._results.finish(session, bundle.name, record, files)
-                self._on_network(network)
+                self._observer.on_network(network)
                 if keep_drop is not None:
                     try:
                         await keep_drop(record)

@@ -12,17 +12,13 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from pathlib import Path
 from typing import Any
 
 from drivers.errors import RecordingError
-from drivers.files.bundle_file import Compression
 from drivers.files.durable import read_json, write_json
 from drivers.files.recording import RecordingWriter
 from drivers.files.times import utc_now
-from pipeline.fall import Fall
-from pipeline.frames import BundleKind, CameraId, FrameBundle
-from pipeline.rig.cameras import RigCalibration
+from pipeline.frames import BundleKind, FrameBundle
 from service.base.schema import ANSWER, Time
 
 MAX_WAITING = 16
@@ -91,45 +87,25 @@ class RecordingStatus:
         return self.reason is not None or self.ended_by in CUT_SHORT
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordingSource:
-    """Description of the rig that is recorded."""
-
-    camera_ids: tuple[CameraId, ...]  # in the order of the pages of bundle files
-    rig: RigCalibration
-    is_simulated: bool
-    camera_settings: Mapping[str, Any] = field(default_factory=dict)  # JSON, as recording.json has them
-    gate_settings: Mapping[str, Any] = field(default_factory=dict)
-    fall: Fall = field(default_factory=Fall)
-
-    @property
-    def bundle_bytes(self) -> int:
-        """Largest size of a bundle on disk."""
-        width_px, height_px = self.rig.cameras[0].image_size_px
-        return len(self.camera_ids) * (width_px * height_px + 4096)
-
-
 class LiveRecording:
     """A recording under way: `start`, any number of `offer`, `end`; `closed` is set when the folder is complete.
 
-    It ends by itself after `count` stones; `earlier` bundles are written first and do not count. Methods are called on
-    the loop; `on_free` is called on any thread, for every bundle that is written or dropped, `on_closed` on the loop.
+    It ends by itself after `count` stones, and when less than `room_needed_bytes` are free; `earlier` bundles are
+    written first and do not count. Methods are called on the loop; `on_free` is called on any thread, for every bundle
+    that is written or dropped, `on_closed` on the loop.
     """
 
     def __init__(
         self,
-        path: Path,
-        source: RecordingSource,
+        writer: RecordingWriter,
         *,
-        compression: Compression,
-        reserve_bytes: int,
-        made_by: Mapping[str, Any],
+        room_needed_bytes: int,
         count: int | None = None,
         earlier: Sequence[FrameBundle] = (),
         on_free: Callable[[], None] = lambda: None,
         on_closed: Callable[[RecordingStatus], None] = lambda status: None,
     ) -> None:
-        self.path = path
+        self.path = writer.path
         self.stones = 0
         """Stones and balls written so far."""
         self.bundles = 0
@@ -139,20 +115,10 @@ class LiveRecording:
         self.ended_by: EndedBy | None = None
         self.failure: str | None = None
         self.closed = asyncio.Event()
-        self._made_by = dict(made_by)
+        self._made_by = writer.made_by
         self._created_at = utc_now("seconds")
-        self._writer = RecordingWriter(
-            path,
-            camera_ids=source.camera_ids,
-            image_size_px=source.rig.cameras[0].image_size_px,
-            rig=source.rig,
-            is_simulated=source.is_simulated,
-            made_by=made_by,
-            camera_settings=source.camera_settings,
-            gate_settings=source.gate_settings,
-            compression=compression,
-        )
-        self._room_needed_bytes = reserve_bytes + source.bundle_bytes
+        self._writer = writer
+        self._room_needed_bytes = room_needed_bytes
         self._still_wanted = count
         self._max_waiting = len(earlier) + MAX_WAITING
         self._on_free = on_free
@@ -166,7 +132,7 @@ class LiveRecording:
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         # of normal priority: a starved thread that holds the interpreter's lock blocks the loop, 240 ms measured
-        self._thread = threading.Thread(target=self._run, name=f"recording {path.name}", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"recording {self.path.name}", daemon=True)
 
     def start(self, duration_s: float | None = None) -> None:
         """Start writing, and end after `duration_s` if given."""

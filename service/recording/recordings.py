@@ -17,6 +17,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from drivers.files.bundle_file import Compression
+from drivers.files.recording import RecordingSource, RecordingWriter
 from pipeline.frames import BundleKind, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.base.errors import ServiceError
@@ -30,7 +31,6 @@ from service.recording.kept_recordings import (
 from service.recording.live_recording import (
     EndedBy,
     LiveRecording,
-    RecordingSource,
     RecordingState,
     RecordingStatus,
 )
@@ -190,17 +190,15 @@ class Recordings:
             )
         stones = list(self._stones)[-plan.pre_trigger :] if plan.pre_trigger else []
         earlier = [bundle for _, bundle in sorted([*self._backgrounds, *stones], key=_order)]
+        made_by = {
+            **self._made_by,
+            "count": plan.count,
+            "duration_s": plan.duration_s,
+            "pre_trigger": len(stones),
+        }
         live = LiveRecording(
-            path,
-            self._source,
-            compression=self._settings.compression,
-            reserve_bytes=self._settings.reserve_bytes,
-            made_by={
-                **self._made_by,
-                "count": plan.count,
-                "duration_s": plan.duration_s,
-                "pre_trigger": len(stones),
-            },
+            RecordingWriter(path, self._source, made_by=made_by, compression=self._settings.compression),
+            room_needed_bytes=self._settings.reserve_bytes + self._source.bundle_bytes,
             count=plan.count,
             earlier=earlier,
             on_closed=self._on_closed,

@@ -374,15 +374,11 @@ class Store:
         self, query: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
     ) -> T:
         """Return `query(connection, ...)`, made in a thread of the store on a read-only connection."""
-        ask = partial(read, self.path, query, *args, **kwargs)
-
-        def job() -> T:
-            try:
-                return ask()
-            except StoreError as err:
-                trouble = trouble_of(err.__cause__) if isinstance(err.__cause__, Exception) else None
-                if trouble is not None and trouble.cause is Cause.DAMAGED:
-                    self._writer.hold(trouble)
-                raise
-
-        return await asyncio.get_running_loop().run_in_executor(self._readers, job)
+        run = asyncio.get_running_loop().run_in_executor
+        try:
+            return await run(self._readers, partial(read, self.path, query, *args, **kwargs))
+        except StoreError as err:
+            trouble = trouble_of(err.__cause__) if isinstance(err.__cause__, Exception) else None
+            if trouble is not None and trouble.cause is Cause.DAMAGED:
+                await run(self._readers, self._writer.hold, trouble)
+            raise

@@ -13,9 +13,11 @@ from support.outcomes import add, rejected, trigger
 from support.rest import FakeControl, app_of, assert_problem, client_of, particle_files
 
 from pipeline.frames import BundleKind
+from pipeline.gradation.evaluation import Gradation
+from pipeline.gradation.stones import Lot
 from service.api.overview_rows import Rows, overview_rows
 from service.api.settings import ApiKey, ApiSettings, Scope
-from service.lots import laboratory, products
+from service.lots import evaluation, laboratory, products
 from service.results.record import lost_record
 from service.results.refinement import RUSH
 from service.store import Store
@@ -232,8 +234,16 @@ async def test_the_audit_names_the_key(store: Store, control: FakeControl) -> No
 
 @pytest.mark.usefixtures("product")
 async def test_the_laboratorys_curve_and_the_correlated_one_stand_beside_the_raw_one(
-    client: httpx.AsyncClient, store: Store, session: int
+    client: httpx.AsyncClient, store: Store, session: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    evaluated: list[Lot] = []
+
+    def evaluate(lot: Lot, *given: Any, **more: Any) -> Gradation:
+        evaluated.append(lot)
+        return evaluate_once(lot, *given, **more)
+
+    evaluate_once = evaluation.evaluate
+    monkeypatch.setattr(evaluation, "evaluate", evaluate)
     assert_problem(await client.post("/products/basalt-8-16/correlations", json={}), 409, "nothing-to-study")
     rng = np.random.default_rng(4)
     sizes_mm = rng.uniform(6.0, 18.0, 150)
@@ -254,7 +264,9 @@ async def test_the_laboratorys_curve_and_the_correlated_one_stand_beside_the_raw
     study = (await client.post("/products/basalt-8-16/correlations", json={"form": "factor"})).json()
     assert study["factor"] == pytest.approx(0.97, abs=0.005)
     assert (await client.get("/products/basalt-8-16/correlations")).json()["items"] == [study]
+    evaluated.clear()
     figures = (await client.get("/lots/L1/gradation")).json()
+    assert len(evaluated) == 1, "an answer evaluates a lot once"
     at_ten = next(step for step in figures["correlated"]["curve"] if step["sieve_mm"] == 10.0)
     raw = next(step for step in figures["curve"] if step["sieve_mm"] == 10.0)
     found = sieving.json()["passing_percent"]["10"]

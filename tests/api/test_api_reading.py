@@ -15,7 +15,7 @@ from support.rest import FakeControl, ReadingThread, app_of, assert_problem, cli
 from support.worker_jobs import Stumble, stumble, wait_for
 
 from service.api import pace, reader_process
-from service.api.feeds import MAX_SMALL, RESULT_STREAM, RESULTS, page_now
+from service.api.feeds import MAX_SMALL, RESULT_STREAM, RESULTS, page_after
 from service.api.pace import BURST, RATE_HZ, Pace
 from service.api.pages import feed_page
 from service.api.reader_process import BusyError, ReaderProcess
@@ -78,15 +78,15 @@ async def test_streams_far_behind_share_full_pages_although_stones_fall(
         await add(store, session, number, rejected("empty"))
     beside = CountingThread()
     context = app_of(store, control, reading=beside).state.context
-    first = await page_now(context, RESULT_STREAM, 0, MAX_SMALL + 1)
+    first = await page_after(context, RESULT_STREAM, 0, MAX_SMALL + 1)
     await add(store, session, MAX_SMALL + 3, rejected("empty"))
-    assert (await page_now(context, RESULT_STREAM, 0, MAX_SMALL + 1)).content == first.content
+    assert (await page_after(context, RESULT_STREAM, 0, MAX_SMALL + 1)).content == first.content
     assert beside.n_runs == 1
     # not full, and what says how far the feed goes: made anew
-    assert (await page_now(context, RESULT_STREAM, 0, 100)).next_after == MAX_SMALL + 3
-    assert (await page_now(context, RESULTS, 0, 1)).last_seq == MAX_SMALL + 3
+    assert (await page_after(context, RESULT_STREAM, 0, 100)).next_after == MAX_SMALL + 3
+    assert (await page_after(context, RESULTS, 0, 1)).last_seq == MAX_SMALL + 3
     await add(store, session, MAX_SMALL + 4, rejected("empty"))
-    assert (await page_now(context, RESULTS, 0, 1)).last_seq == MAX_SMALL + 4
+    assert (await page_after(context, RESULTS, 0, 1)).last_seq == MAX_SMALL + 4
 
 
 async def test_the_process_answers_what_a_thread_answers(

@@ -19,10 +19,13 @@ async def test_who_asks_when_an_answer_is_just_made_gets_the_next() -> None:
         nonlocal n_made
         n_made += 1
         if n_made == 1:  # runs before anything that hears of the end of this task
-            later.append(asyncio.create_task(answers.get("question", make, keep_s=0)))
+            later.append(asyncio.create_task(ask()))
         return n_made
 
-    assert await answers.get("question", make, keep_s=0) == 1
+    async def ask() -> int:
+        return await answers.get("question", make, keep_s=0)
+
+    assert await ask() == 1
     assert await later[0] == 2
 
 

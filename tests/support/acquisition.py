@@ -8,7 +8,8 @@ from support.eventually import PATIENCE_S
 
 from drivers.factory import Devices
 from pipeline.frames import CameraId, FrameBundle, GateCount, Trigger
-from service.acquisition.acquisition import Acquisition
+from service.acquisition.acquisition import Acquisition, AcquisitionParameters
+from service.acquisition.empty_rig import EmptyRigParameters
 from service.base.status import AcquisitionState, AcquisitionTarget
 from service.bundling.parameters import BundlingParameters
 
@@ -30,7 +31,7 @@ class AcquisitionBench:
         self.bundles: list[FrameBundle] = []
         self.states: list[AcquisitionState] = []
         self.entered: list[tuple[AcquisitionState, str | None]] = []
-        self.store_trouble: str | None = None
+        self.trouble: str | None = None
         self._min_cameras = min_cameras
         self._is_ball = is_ball
         self.make_acquisition()
@@ -38,14 +39,16 @@ class AcquisitionBench:
     def make_acquisition(self) -> None:
         self.acquisition = Acquisition(
             self.devices,
-            session=1,
+            AcquisitionParameters(
+                session=1,
+                bundling=BundlingParameters(),
+                min_cameras=self._min_cameras,
+                empty_rig=EmptyRigParameters(at_start=0, every_s=0),
+            ),
             triggers=self,
-            bundling=BundlingParameters(),
-            min_cameras=self._min_cameras,
             is_ball=self._is_ball,
             on_bundle=self.on_bundle,
             on_progress=self.on_progress,
-            store_trouble=lambda: self.store_trouble,
             on_state=lambda state, trouble: self.entered.append((state, trouble)),
         )
 

@@ -11,7 +11,7 @@ from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.drop_jobs import ObserveJob
 from service.processing.measure_job import LearnJob, MeasuredBundle, MeasureJob, NetworkUse, RigFile
-from service.processing.processing import Processing, ProcessingContext
+from service.processing.processing import Processing, ProcessingContext, ProcessingObserver
 from service.processing.quarantine import Quarantine
 from service.processing.spool import Loss, SpooledBundle
 from service.results.fields import Verified
@@ -149,9 +149,8 @@ class Bench:
             pool=pool,
             results=self.store,
             calibration=desk or Desk(),
+            observer=ProcessingObserver(on_outcome=self.delays_s.append, on_progress=self.on_progress),
             quarantine=self.quarantine,
-            on_outcome=self.delays_s.append,
-            on_progress=self.on_progress,
         )
 
     def on_progress(self) -> None:

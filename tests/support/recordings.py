@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.files.recording import RecordingWriter
+from drivers.files.recording import RecordingSource, RecordingWriter
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import nominal_rig
-from service.recording.live_recording import RecordingSource
 
 SIZE_PX = (64, 48)
 CAMERAS = tuple(CameraId(f"c{i:02d}") for i in range(1, 5))
@@ -70,17 +69,9 @@ def make_bundle(
     return FrameBundle(trigger=trigger, frames=frames, missing=missing)
 
 
-def write_recording(
-    path: Path, bundles: Iterable[FrameBundle], *, with_rig: bool = True, is_simulated: bool = True
-) -> Path:
-    with RecordingWriter(
-        path,
-        camera_ids=CAMERAS,
-        image_size_px=SIZE_PX,
-        rig=small_rig() if with_rig else None,
-        is_simulated=is_simulated,
-        made_by={"command": "test"},
-    ) as writer:
+def write_recording(path: Path, bundles: Iterable[FrameBundle], *, is_simulated: bool = True) -> Path:
+    source = replace(SOURCE, is_simulated=is_simulated)
+    with RecordingWriter(path, source, made_by={"command": "test"}) as writer:
         for bundle in bundles:
             writer.add(bundle)
     return path

@@ -9,7 +9,7 @@ import numpy as np
 from support.render_cache import kept_rendered
 
 from drivers.files.bundle_file import Compression
-from drivers.files.recording import RecordingWriter
+from drivers.files.recording import RecordingSource, RecordingWriter
 from pipeline.evaluation.scene import Scene, build_scene
 from pipeline.evaluation.trials import STANDARDS
 from pipeline.frames import FrameBundle
@@ -85,10 +85,7 @@ def recording_of(
     """A new recording of what this rig was rendered with."""
     return RecordingWriter(
         path,
-        camera_ids=rig.camera_ids,
-        image_size_px=rig.cameras[0].image_size_px,
-        rig=rig,
-        is_simulated=True,
+        RecordingSource(camera_ids=rig.camera_ids, rig=rig, is_simulated=True),
         made_by=made_by,
         compression=compression,
     )

@@ -11,7 +11,7 @@ import numpy as np
 from support.render_cache import kept_rendered
 from support.rendered import recording_of
 
-from pipeline.frames import BundleKind, CameraId, FrameBundle
+from pipeline.frames import CameraId, FrameBundle
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, ball, cube, sphere
@@ -93,9 +93,7 @@ def _empty_before_balls(number: int) -> FrameBundle:
 def _ball(number: int, diameter_mm: float) -> FrameBundle:
     rng = stream(3, 2, number)
     placed = drop_across(ball(diameter_mm), _simulated_for_balls().rig, rng)
-    return render_bundle(
-        [placed], _simulated_for_balls(), rng, sequence=number, label="ball", kind=BundleKind.BALL
-    )
+    return render_bundle([placed], _simulated_for_balls(), rng, sequence=number, label="ball")
 
 
 def write_ball_recording(path: Path, *, n_balls: int, diameter_mm: float = 10.0) -> None:

@@ -32,9 +32,57 @@ CHANGING = ("lot", "files_removed", "is_pinned", "pin_reason")
 """Fields of a result that change after it became durable."""
 SdPercent = Annotated[
     float | None,
-    Query(ge=0, allow_inf_nan=False, description="Standard deviation of the volume, %; inclusive"),
+    Field(ge=0, allow_inf_nan=False, description="Standard deviation of the volume, %; inclusive"),
 ]
-SizeMm = Annotated[float | None, Query(ge=0, allow_inf_nan=False, description="Sieve size, mm; inclusive")]
+SizeMm = Annotated[float | None, Field(ge=0, allow_inf_nan=False, description="Sieve size, mm; inclusive")]
+
+
+class ParticlesQuery(BaseModel):
+    """Filters of a list of results, and its page."""
+
+    outcome: Annotated[
+        Literal["measured", "rejected", "lost"] | None, Field(description="Only with this outcome")
+    ] = None
+    quality: Annotated[
+        Literal["good", "reduced", "degraded"] | None, Field(description="Only of this quality")
+    ] = None
+    kind: Annotated[Literal["particle", "ball"] | None, Field(description="Only of this kind")] = None
+    min_sieve_size_mm: SizeMm = None
+    max_sieve_size_mm: SizeMm = None
+    since: Annotated[GivenTime | None, Field(description="Captured at or after, RFC 3339")] = None
+    until: Annotated[GivenTime | None, Field(description="Captured before, RFC 3339")] = None
+    lot: Annotated[str | None, Field(max_length=64, description="In this lot now")] = None
+    has_frames: Annotated[
+        bool | None,
+        Field(
+            description="True: only stones that are new enough to have their raw frames, by `[store] keep_raw`, or"
+            " pinned; false: only others"
+        ),
+    ] = None
+    zingg_class: Annotated[ZinggClass | None, Field(description="Only of this form")] = None
+    is_flaky: Annotated[
+        bool | None,
+        Field(description="Whether it passes the slot of its fraction (EN 933-3); from 4 to 100 mm"),
+    ] = None
+    is_non_cubical: Annotated[
+        bool | None,
+        Field(description="Whether it is longer than three times its thickness (EN 933-4); from 4 to 63 mm"),
+    ] = None
+    min_volume_sd_percent: SdPercent = None
+    max_volume_sd_percent: SdPercent = None
+    quality_cause: Annotated[
+        QualityCause | None, Field(description="Only with this among the causes of its quality")
+    ] = None
+    algorithm_version: Annotated[
+        str | None, Field(max_length=16, description="Only measured by this version of the algorithm")
+    ] = None
+    body: Annotated[Literal["photo", "estimate", "hull"] | None, Field(description="Only with this body")] = (
+        None
+    )
+    cursor: Annotated[
+        str | None, Field(pattern=r"^[0-9]{1,15}$", description="`next_cursor` of the page before")
+    ] = None
+    limit: Annotated[int, Field(ge=1, le=1000, description="Results of a page, at most")] = 100
 
 
 class ParticlesPage(BaseModel):
@@ -49,81 +97,19 @@ async def particles(
     context: Context,
     names: ChosenFields,
     as_gzip: TakesGzip,
-    outcome: Annotated[
-        Literal["measured", "rejected", "lost"] | None, Query(description="Only with this outcome")
-    ] = None,
-    quality: Annotated[
-        Literal["good", "reduced", "degraded"] | None, Query(description="Only of this quality")
-    ] = None,
-    kind: Annotated[Literal["particle", "ball"] | None, Query(description="Only of this kind")] = None,
-    min_sieve_size_mm: SizeMm = None,
-    max_sieve_size_mm: SizeMm = None,
-    since: Annotated[GivenTime | None, Query(description="Captured at or after, RFC 3339")] = None,
-    until: Annotated[GivenTime | None, Query(description="Captured before, RFC 3339")] = None,
-    lot: Annotated[str | None, Query(max_length=64, description="In this lot now")] = None,
-    has_frames: Annotated[
-        bool | None,
-        Query(
-            description="True: only stones that are new enough to have their raw frames, by `[store] keep_raw`, or"
-            " pinned; false: only others"
-        ),
-    ] = None,
-    zingg_class: Annotated[ZinggClass | None, Query(description="Only of this form")] = None,
-    is_flaky: Annotated[
-        bool | None,
-        Query(description="Whether it passes the slot of its fraction (EN 933-3); from 4 to 100 mm"),
-    ] = None,
-    is_non_cubical: Annotated[
-        bool | None,
-        Query(description="Whether it is longer than three times its thickness (EN 933-4); from 4 to 63 mm"),
-    ] = None,
-    min_volume_sd_percent: SdPercent = None,
-    max_volume_sd_percent: SdPercent = None,
-    quality_cause: Annotated[
-        QualityCause | None, Query(description="Only with this among the causes of its quality")
-    ] = None,
-    algorithm_version: Annotated[
-        str | None, Query(max_length=16, description="Only measured by this version of the algorithm")
-    ] = None,
-    body: Annotated[
-        Literal["photo", "estimate", "hull"] | None, Query(description="Only with this body")
-    ] = None,
-    cursor: Annotated[
-        str | None, Query(pattern=r"^[0-9]{1,15}$", description="`next_cursor` of the page before")
-    ] = None,
-    limit: Annotated[int, Query(ge=1, le=1000, description="Results of a page, at most")] = 100,
+    query: Annotated[ParticlesQuery, Query()],
 ) -> Response:
     """List the results that pass all filters, newest first, each in its newest revision.
 
     To follow production use the feed, `/results`.
     """
-    wanted = ParticleFilter(
-        outcome=outcome,
-        quality=quality,
-        kind=kind,
-        min_sieve_size_mm=min_sieve_size_mm,
-        max_sieve_size_mm=max_sieve_size_mm,
-        since=since,
-        until=until,
-        lot=lot,
-        has_frames=has_frames,
-        zingg_class=zingg_class,
-        is_flaky=is_flaky,
-        is_non_cubical=is_non_cubical,
-        min_volume_sd_percent=min_volume_sd_percent,
-        max_volume_sd_percent=max_volume_sd_percent,
-        quality_cause=quality_cause,
-        algorithm_version=algorithm_version,
-        body=body,
-    )
-    before_seq = MAX_SEQ if cursor is None else int(cursor)
-    if limit > MAX_SMALL:
-        path = context.store.path
-        page = await context.reading.run(
-            read, path, particles_page, wanted, before_seq, limit, names, as_gzip
-        )
+    wanted = ParticleFilter(**query.model_dump(exclude={"cursor", "limit"}))
+    before_seq = MAX_SEQ if query.cursor is None else int(query.cursor)
+    asked = (wanted, before_seq, query.limit, names, as_gzip)
+    if query.limit > MAX_SMALL:
+        page = await context.reading.run(read, context.store.path, particles_page, *asked)
     else:
-        page = await context.store.read(particles_page, wanted, before_seq, limit, names, as_gzip)
+        page = await context.store.read(particles_page, *asked)
     return Response(page, media_type="application/json")
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.files.recording import RecordingWriter
-from pipeline.frames import BundleKind, CameraId, FrameBundle
+from drivers.files.recording import RecordingSource, RecordingWriter
+from pipeline.frames import CameraId, FrameBundle
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, ball
@@ -61,10 +61,7 @@ def _write(path: Path, kind: RehearsedRecording) -> None:
     rig = small_rig()
     writer = RecordingWriter(
         path,
-        camera_ids=rig.camera_ids,
-        image_size_px=rig.cameras[0].image_size_px,
-        rig=rig,
-        is_simulated=True,
+        RecordingSource(camera_ids=rig.camera_ids, rig=rig, is_simulated=True),
         made_by={"command": "rehearse", "recording": kind.value},
         compression="zstd",
     )
@@ -83,7 +80,7 @@ def _falling(kind: RehearsedRecording, rig: RigCalibration, simulated: Simulated
     if kind is RehearsedRecording.BALLS:
         for number in range(N_STONES, N_STONES + N_BALLS):
             placed = drop_across(ball(), rig, stream(SEED, 3, number))
-            yield _bundle([placed], simulated, number, "ball", BundleKind.BALL)
+            yield _bundle([placed], simulated, number, "ball")
         return
     if kind is RehearsedRecording.BUMPED:
         shaken = simulate_rig(_bumped(rig), stream(SEED, 0))
@@ -99,15 +96,9 @@ def _falling(kind: RehearsedRecording, rig: RigCalibration, simulated: Simulated
     yield _bundle([], simulated, N_STONES + 1, "nothing")
 
 
-def _bundle(
-    bodies: list[PlacedBody],
-    simulated: SimulatedRig,
-    number: int,
-    label: str,
-    kind: BundleKind = BundleKind.PARTICLE,
-) -> FrameBundle:
+def _bundle(bodies: list[PlacedBody], simulated: SimulatedRig, number: int, label: str) -> FrameBundle:
     rng = stream(SEED, 5, number)
-    return render_bundle(bodies, simulated, rng, sequence=N_EMPTY + 1 + number, label=label, kind=kind)
+    return render_bundle(bodies, simulated, rng, sequence=N_EMPTY + 1 + number, label=label)
 
 
 def _stone(number: int) -> Body:

@@ -6,7 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.recordings import CAMERAS, SIZE_PX, assert_same_bundle, make_bundle, small_rig, write_recording
+from support.recordings import (
+    CAMERAS,
+    SIZE_PX,
+    SOURCE,
+    assert_same_bundle,
+    make_bundle,
+    small_rig,
+    write_recording,
+)
 
 from drivers.errors import RecordingError
 from drivers.files.recording import RecordingWriter, open_recording, playback_order, read_bundle
@@ -96,16 +104,9 @@ def test_the_writer_refuses_what_does_not_belong(tmp_path: Path) -> None:
     odd = replace(bundle.frames[CAMERAS[0]], image=np.zeros((4, 4), np.uint8))
     with pytest.raises(RecordingError, match="camera c01: images of 4x4 in a recording of 64x48 px"):
         write(replace(bundle, frames={**bundle.frames, CAMERAS[0]: odd}))
-    other = small_rig([CameraId(f"x{i}") for i in range(4)])
+    other = replace(SOURCE, rig=small_rig([CameraId(f"x{i}") for i in range(4)]))
     with pytest.raises(RecordingError, match="rig of other cameras: it has no c01"):
-        RecordingWriter(
-            tmp_path / "rec",
-            camera_ids=CAMERAS,
-            image_size_px=SIZE_PX,
-            rig=other,
-            is_simulated=True,
-            made_by={},
-        )
+        RecordingWriter(tmp_path / "rec", other, made_by={})
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,10 +1,13 @@
 """Scores of patches over pairs of views, of which some see something else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pipeline.refinement.node_field import tangent_axes
-from pipeline.refinement.patch_scores import patch_scores
+from pipeline.refinement.passes import PASSES
+from pipeline.refinement.patch_scores import Patches, patch_scores
 from pipeline.refinement.refine import made_up_ball
 from pipeline.refinement.sightings import PhotoViews, photo_views
 
@@ -44,8 +47,7 @@ def test_patches_without_texture_are_alike_as_far_as_one_can_tell():
 def score(seen: PhotoViews, pairs_share: float = 1.0, even_score: float = 0.0) -> float:
     inward = -seen.R[:1, 2]  # towards the camera
     chosen, weights = np.arange(N_VIEWS, dtype=np.int32)[None], np.ones((1, N_VIEWS), np.float32)
-    found = patch_scores(
-        seen, 1.0, np.zeros((1, 3)), inward, tangent_axes(inward), (chosen, weights), np.zeros(8), 0.35, 6, 1.3,
-        pairs_share, even_score,
-    )  # fmt: skip
+    patches = Patches(np.zeros((1, 3)), inward, tangent_axes(inward), 0.35, chosen, weights)
+    each = replace(PASSES[-1], n_samples=6, pairs_share=pairs_share, even_score=even_score)
+    found = patch_scores(seen, patches, np.zeros(8), each)
     return float(found[0, 0])

@@ -62,9 +62,7 @@ def test_the_beam_is_closed_while_a_body_falls_by_its_extent(
 
 
 def test_counters_and_clocks_run_on_from_bundle_to_bundle(simulated: SimulatedRig) -> None:
-    bundles = [
-        render_empty(simulated, stream(0, i), sequence=i, period_ns=250_000_000) for i in range(134, 138)
-    ]
+    bundles = [render_empty(simulated, stream(0, i), sequence=i) for i in range(134, 138)]
     assert [bundle.trigger.utc for bundle in bundles[:2]] == [
         "2026-01-01T00:00:33.250Z",
         "2026-01-01T00:00:33.500Z",
@@ -115,7 +113,7 @@ def test_a_body_larger_than_the_view_is_still_placed() -> None:
 def test_the_truth_is_that_of_the_photographed_body(simulated: SimulatedRig) -> None:
     rng = stream(0, 3)
     placed = tumble(ball(), simulated.rig, rng)
-    bundle = render_bundle([placed], simulated, rng, sequence=2, label="ball", kind=BundleKind.BALL)
+    bundle = render_bundle([placed], simulated, rng, sequence=2, label="ball")
     truth = truth_of(placed, bundle, measure_shape(placed.body.mesh.vertices, placed.body.mesh.faces))
     np.testing.assert_allclose(truth.mesh.center_mass, placed.offset_mm, atol=1e-9)
     document = truth_to_document(truth)

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from support.acquisition import CAMERAS, DELAY_NS, UTC, AcquisitionBench, armed
 from support.eventually import PATIENCE_S
+from support.recordings import SIZE_PX, small_rig
 
 from drivers.errors import GateUnavailableError
 from drivers.factory import ReplayBackend, build_devices
 from drivers.faulty.faults import Fault, FaultPlan
 from drivers.faulty.gate import FaultyGate
-from drivers.files.recording import RecordingWriter
+from drivers.files.recording import RecordingSource, RecordingWriter
 from drivers.interfaces import CameraLost, LightGate
 from pipeline.frames import Frame, FrameBundle, Trigger
 from service.acquisition import device_keeper
@@ -25,15 +26,14 @@ N_BUNDLES = 6
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("acquisition") / "recording"
-    with RecordingWriter(
-        path, camera_ids=CAMERAS, image_size_px=(8, 6), rig=None, is_simulated=True, made_by={}
-    ) as writer:
+    source = RecordingSource(camera_ids=CAMERAS, rig=small_rig(CAMERAS), is_simulated=True)
+    with RecordingWriter(path, source, made_by={}) as writer:
         for number in range(1, N_BUNDLES + 1):
             at_ns = number * 250_000_000
             frames = {
                 camera: Frame(
                     camera=camera,
-                    image=np.full((6, 8), number, np.uint8),
+                    image=np.full(SIZE_PX[::-1], number, np.uint8),
                     frame_id=number,
                     device_ns=0,
                     received_ns=at_ns + DELAY_NS,
@@ -210,11 +210,11 @@ async def test_a_store_that_is_held_holds_the_acquisition_and_stones_are_still_c
     bench = Bench(recording)
     async with armed(bench) as acquisition:
         await bench.step(1)
-        bench.store_trouble = "store: database or disk is full: make room"
+        bench.trouble = "database or disk is full: make room"
         await bench.until(lambda: acquisition.state is AcquisitionState.HELD)
-        assert acquisition.status().trouble == bench.store_trouble
+        assert acquisition.status().trouble == f"store: {bench.trouble}"
         await bench.step(1)
-        bench.store_trouble = None
+        bench.trouble = None
         await bench.until(lambda: acquisition.state is AcquisitionState.ARMED)
         assert acquisition.status().trouble is None
     assert len(bench.bundles) == 2

@@ -189,9 +189,9 @@ def test_bundles_that_are_not_as_they_should_be(tmp_path: Path) -> None:
     def at(body: Body, *offset_mm: float) -> PlacedBody:
         return PlacedBody(body=body, R=np.eye(3), offset_mm=np.array(offset_mm))
 
-    def exposed(number: int, label: str, *bodies: PlacedBody, kind: str = "particle") -> FrameBundle:
+    def exposed(number: int, label: str, *bodies: PlacedBody) -> FrameBundle:
         rng = stream(3, 1, number)
-        return render_bundle(bodies, simulated, rng, sequence=number, label=label, kind=BundleKind(kind))
+        return render_bundle(bodies, simulated, rng, sequence=number, label=label)
 
     whole = exposed(2, "wrong", at(sphere(), 0, 1, 0))
     other = exposed(7, "swapped", at(sphere(9.0), 3, -2, 2))
@@ -204,7 +204,7 @@ def test_bundles_that_are_not_as_they_should_be(tmp_path: Path) -> None:
         exposed(3, "empty"),
         exposed(4, "double", at(sphere(8.0), 8, 0, 2), at(sphere(7.0), -8, 1, -2)),
         exposed(5, "cut", at(sphere(), 0, 0, -25)),
-        exposed(6, "ball", at(sphere(10.0), 1, 0, 0), kind="ball"),
+        exposed(6, "ball", at(replace(sphere(10.0), kind=BundleKind.BALL), 1, 0, 0)),
         replace(other, trigger=replace(other.trigger, pulse_width_ns=pulse_width_ns(25))),
     ]
     recording = tmp_path / "recording"

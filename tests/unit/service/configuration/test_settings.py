@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from drivers.errors import RecordingError
 from drivers.factory import build_devices
-from drivers.files.recording import RecordingWriter
+from drivers.files.recording import RecordingSource, RecordingWriter
 from drivers.files.rig_file import read_rig, write_rig
 from drivers.gates.gpio import GpioGateSettings
 from drivers.gates.modem_line import ModemLineSettings
@@ -224,14 +224,8 @@ def write_tiny_recording(path: Path) -> None:
         frames={camera: frame},
         missing=dict.fromkeys(rig.camera_ids[1:], "no_frame"),
     )
-    with RecordingWriter(
-        path,
-        camera_ids=rig.camera_ids,
-        image_size_px=(width_px, height_px),
-        rig=rig,
-        is_simulated=True,
-        made_by={},
-    ) as writer:
+    source = RecordingSource(camera_ids=rig.camera_ids, rig=rig, is_simulated=True)
+    with RecordingWriter(path, source, made_by={}) as writer:
         writer.add(bundle)
 
 

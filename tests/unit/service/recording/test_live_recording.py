@@ -10,13 +10,18 @@ import pytest
 from support.eventually import PATIENCE_S
 from support.recordings import CAMERAS, assert_same_bundle, make_bundle, small_rig
 
-from drivers.files.recording import open_recording, playback_order, read_bundle
+from drivers.files.recording import (
+    RecordingSource,
+    RecordingWriter,
+    open_recording,
+    playback_order,
+    read_bundle,
+)
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle
 from service.recording.live_recording import (
     MAX_WAITING,
     EndedBy,
     LiveRecording,
-    RecordingSource,
     RecordingState,
 )
 
@@ -25,10 +30,9 @@ SOURCE = RecordingSource(
 )
 
 
-def live_recording(path: Path, **options) -> LiveRecording:
-    return LiveRecording(
-        path, SOURCE, **{"compression": "zstd", "reserve_bytes": 0, "made_by": {"command": "test"}} | options
-    )
+def live_recording(path: Path, *, compression="zstd", reserve_bytes: int = 0, **options) -> LiveRecording:
+    writer = RecordingWriter(path, SOURCE, made_by={"command": "test"}, compression=compression)
+    return LiveRecording(writer, room_needed_bytes=reserve_bytes + SOURCE.bundle_bytes, **options)
 
 
 async def closed(recording: LiveRecording) -> LiveRecording:

@@ -125,7 +125,7 @@ async def test_counts_and_balance_stay(store: Store, session: int, tmp_path: Pat
 
 async def test_stones_windows_and_lists_are_of_the_newest_revision(filled: Store, tmp_path: Path) -> None:
     window = await filled.read(stones_between, *EVER)
-    assert sorted(each.sieve_size_mm for each in window.stones) == [10.0, 10.0, 12.0]  # type: ignore[union-attr]
+    assert sorted(window.lot.column("sieve_size_mm")) == [10.0, 10.0, 12.0]
 
     async def listed(**wanted: Any) -> list[int]:
         return [each["seq"] for each in await filled.particles(ParticleFilter(**wanted), None, 10)]
@@ -190,7 +190,7 @@ async def test_stones_of_an_earlier_schema_tell_their_bodies_as_far_as_their_rec
         )
     with await asyncio.to_thread(open_store, state_dir) as store:
         stones = await store.read(stones_of_lot, "L1")
-        assert (len(stones.stones), stones.by_body, stones.not_refined) == (
+        assert (sum(stones.lot.counts.values()), stones.by_body, stones.not_refined) == (
             4,
             {"estimate": 2, "photo": 1},
             {"rush": 2},
@@ -208,8 +208,8 @@ async def test_a_closed_lot_gets_a_revision_and_an_event(filled: Store, tmp_path
     lot = await filled.read(find_lot, "L1")
     assert opened is not None and lot is not None
     assert (opened.revision, lot.revision, lot.n_stones) == (0, 2, 3)
-    stones = (await filled.read(stones_of_lot, "L1")).stones
-    assert [each.sieve_size_mm for each in stones] == [13.0, 12.0, 14.0]  # type: ignore[union-attr]
+    stones = (await filled.read(stones_of_lot, "L1")).lot
+    assert list(stones.column("sieve_size_mm")) == [13.0, 12.0, 14.0]
     events = (await filled.read(events_after, 0, 10)).items
     assert [(each["type"], each["data"]["revision"]) for each in events][-2:] == [
         ("lot.closed", 1),

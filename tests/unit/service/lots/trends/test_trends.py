@@ -12,7 +12,6 @@ from support.fallen import fall
 from pipeline.frames import rfc3339
 from pipeline.gradation.estimates import State
 from pipeline.gradation.sieves import OF_THE_RIG
-from pipeline.gradation.stones import lot_of
 from service.base.language import Language
 from service.lots.stored_stones import stones_between
 from service.lots.trends.changes import ChangedFigure, EntryChanges, FigureChange, changes
@@ -60,7 +59,7 @@ def test_the_stones_of_a_stretch_are_those_of_a_lot_in_the_order_of_time(
     fall(connection, at(0), 10)
     whole = stretch(connection, *EVER, 10_000)
     assert (whole.n_stones, whole.n_measured) == (600, 540)
-    expected = lot_of(stones_between(connection, *EVER).stones)
+    expected = stones_between(connection, *EVER).lot
     assert (whole.lot.measures == expected.measures).all()
     times = times_of(connection, *EVER)
     assert len(times) == 600
