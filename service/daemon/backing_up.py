@@ -5,6 +5,7 @@ import logging
 import time
 
 from service.base.errors import StoreError
+from service.base.status import Checks, trouble_check
 from service.store import Store
 
 log = logging.getLogger(__name__)
@@ -30,6 +31,9 @@ class BackingUp:
         self._every_s = 3600 * every_h
         self._keep = keep
         self._is_changed.set()
+
+    def checks(self) -> Checks:
+        return {"backup": trouble_check(self.trouble)}
 
     async def run(self) -> None:
         """Make a backup whenever the newest one is too old."""

@@ -24,8 +24,9 @@ from service.configuration.segmentation_settings import plan_segmenter
 from service.configuration.settings import Settings
 from service.daemon.alarming import Alarming, acquisition_changed, verification_ended
 from service.daemon.backing_up import BackingUp
-from service.daemon.heartbeats import Heartbeats, Part
+from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import LoopWatch
+from service.daemon.part import Part
 from service.daemon.reloading import Configuration
 from service.daemon.retaining import Retaining
 from service.daemon.running_daemon import Daemon, Watches
@@ -41,7 +42,7 @@ from service.processing.bundle_files import BundleFiles
 from service.processing.left_bundles import LeftBundle, bundles_in, take_over
 from service.processing.measure_job import WorkerContext, prepare
 from service.processing.observers import WatchedResults
-from service.processing.processing import Processing, ProcessingContext
+from service.processing.processing import Processing, ProcessingContext, background_check
 from service.processing.quarantine import Quarantine
 from service.processing.spool import Spool
 from service.processing.worker_pool import WorkerPool
@@ -52,6 +53,7 @@ from service.remeasuring.remeasuring import Remeasuring, new_pool
 from service.results.fields import LossReason
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store
+from service.store.checks import store_checks
 from service.store.event_log import EventLog
 from service.store.events import EventType, NewEvent
 
@@ -89,8 +91,8 @@ async def build(configured: Configuration, store: Store) -> Daemon:
         log.error("%s", segmentation.warning)
     heartbeats = Heartbeats(
         {
-            Part.ACQUISITION: ACQUISITION_SILENCE_S,
-            Part.PROCESSING: 2 * settings.workers.deadline_s + COMMIT_SILENCE_S,
+            Watched.ACQUISITION: ACQUISITION_SILENCE_S,
+            Watched.PROCESSING: 2 * settings.workers.deadline_s + COMMIT_SILENCE_S,
         }
     )
     watches = Watches(
@@ -121,7 +123,7 @@ async def build(configured: Configuration, store: Store) -> Daemon:
         # a recording has the kind of each bundle
         is_ball=lambda: devices.belt is None and calibrations.wants_balls,
         on_bundle=on_bundle,
-        on_progress=lambda: heartbeats.beat(Part.ACQUISITION, time.monotonic()),
+        on_progress=lambda: heartbeats.beat(Watched.ACQUISITION, time.monotonic()),
         store_trouble=lambda: _store_trouble(store),
         on_state=lambda state, trouble: events.note(acquisition_changed(state, trouble)),
     )
@@ -165,14 +167,25 @@ async def build(configured: Configuration, store: Store) -> Daemon:
         quarantine=quarantine,
         on_empty_rig=watches.optics.feed_optics,
         on_network=watches.segmentation.feed,
-        on_progress=lambda: heartbeats.beat(Part.PROCESSING, time.monotonic()),
+        on_progress=lambda: heartbeats.beat(Watched.PROCESSING, time.monotonic()),
         on_outcome=on_outcome,
     )
+    keys = KeyRing(settings.api.keys, settings.store.dir)
+    backing_up = BackingUp(store, every_h=settings.store.backup_every_h, keep=settings.store.keep_backups)
+    retaining = Retaining(
+        store,
+        recordings,
+        settings.store.retention,
+        is_clock_sure=lambda: watches.loop.clock_step_s() is None,
+    )
+    alarms = await open_alarms(store, events)
+    webhooks = await open_webhooks(store, settings.webhooks)
+    file_drop = await open_file_drop(store, settings.file_drop)
+    has_network = segmentation.model is not None
     return Daemon(
         configured=configured,
-        segmentation=segmentation,
         store=store,
-        keys=KeyRing(settings.api.keys, settings.store.dir),
+        keys=keys,
         devices=devices,
         session=session,
         calibrations=calibrations,
@@ -180,19 +193,13 @@ async def build(configured: Configuration, store: Store) -> Daemon:
         pool=pool,
         spool=spool,
         left=left,
-        quarantine=quarantine,
         recordings=recordings,
         archive=archive,
-        backing_up=BackingUp(store, every_h=settings.store.backup_every_h, keep=settings.store.keep_backups),
-        retaining=Retaining(
-            store,
-            recordings,
-            settings.store.retention,
-            is_clock_sure=lambda: watches.loop.clock_step_s() is None,
-        ),
-        alarming=Alarming(await open_alarms(store, events), events),
-        webhooks=await open_webhooks(store, settings.webhooks),
-        file_drop=await open_file_drop(store, settings.file_drop),
+        backing_up=backing_up,
+        retaining=retaining,
+        alarming=Alarming(alarms, events),
+        webhooks=webhooks,
+        file_drop=file_drop,
         acquisition=acquisition,
         processing=processing,
         remeasuring=Remeasuring(
@@ -208,6 +215,35 @@ async def build(configured: Configuration, store: Store) -> Daemon:
         latest_delays_s=latest_delays_s,
         heartbeats=heartbeats,
         watches=watches,
+        parts=(
+            Part(checks=watches.loop.checks),
+            Part(checks=lambda: {"progress": heartbeats.check(time.monotonic())}),
+            Part(checks=archive.checks),
+            Part(checks=backing_up.checks),
+            Part(checks=retaining.checks),
+            Part(checks=webhooks.checks),
+            Part(checks=file_drop.checks),
+            Part(checks=lambda: store_checks(store, spool.n_waiting)),
+            Part(checks=spool.checks),
+            Part(checks=pool.checks),
+            Part(checks=quarantine.checks),
+            Part(
+                checks=lambda: {
+                    "background": background_check(
+                        has_background=processing.has_background, has_network=has_network
+                    )
+                }
+            ),
+            Part(checks=watches.segmentation.checks),
+            Part(checks=watches.rig.checks),
+            Part(checks=watches.optics.checks),
+            Part(checks=watches.refinement.checks),
+            Part(checks=keys.checks),
+            Part(checks=recordings.checks),
+            Part(checks=calibrations.checks),
+            Part(checks=acquisition.checks),
+            Part(checks=configured.checks),
+        ),
     )
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
-from service.base.status import CameraOptics
+from service.base.status import CameraOptics, Checks, HealthCheck, trouble_check
 from service.health.dark_panels import DarkPlace, ViewLight, dark_places
 
 WINDOW = 20
@@ -144,6 +144,9 @@ class OpticalWatch:
         self.limits = limits
         self._cameras = {camera.id: _Camera() for camera in rig.cameras}
 
+    def checks(self) -> Checks:
+        return {"optics": optics_check(self.findings(), len(self._cameras))}
+
     def feed(self, record: Mapping[str, Any]) -> None:
         """Take one result into account."""
         self.feed_optics(record.get("optics", {}))
@@ -256,3 +259,13 @@ def _describe_place(place: DarkPlace) -> str:
         f"the wall is {place.loss:.0%} darker about azimuth {place.azimuth_deg:.0f},"
         f" elevation {place.elevation_deg:+.0f} degrees: look at the light panel there"
     )
+
+
+def optics_check(findings: Sequence[OpticalFinding], n_cameras: int) -> HealthCheck:
+    """Check how well the cameras see: windows, lenses and light."""
+    concerned = {camera for finding in findings for camera in finding.cameras}
+    trouble = "; ".join(
+        f"{', '.join(finding.cameras) if 2 * len(finding.cameras) <= n_cameras else 'all'}: {finding.detail}"
+        for finding in findings
+    )
+    return trouble_check(trouble or None, n_cameras - len(concerned), "cameras")

@@ -6,6 +6,7 @@ the CPU or without the network, and health warns.
 
 from collections import deque
 
+from service.base.status import Checks, trouble_check
 from service.processing.measure_job import NetworkUse
 from service.processing.segmenters import SegmenterPlan
 
@@ -24,6 +25,9 @@ class SegmentationWatch:
         """Take one measured bundle into account, unless it was measured without the network."""
         if use.trouble is not None or use.is_source:
             self._troubles.append(use.trouble)
+
+    def checks(self) -> Checks:
+        return {"segmentation": trouble_check(self.warning)}
 
     @property
     def warning(self) -> str | None:

@@ -19,6 +19,7 @@ from typing import Protocol
 
 from drivers.files.bundle_file import overwrite_bundle
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
+from service.base.status import Checks, CheckStatus, HealthCheck
 from service.bundling.window import MissingReason
 from service.processing.bundle_files import BundleFiles
 from service.processing.left_bundles import LeftBundle, remove_backgrounds
@@ -106,6 +107,9 @@ class Spool:
     def n_waiting(self) -> int:
         """Bundles and losses that have no outcome yet."""
         return self.n_queued + self._n_losses + sum(each.trigger.n_stones for each in self._counted.values())
+
+    def checks(self) -> Checks:
+        return {"queue": queue_check(self.n_queued, self.max_bundles, self.trouble)}
 
     def offer(self, bundle: FrameBundle) -> None:
         """Add a bundle, or its loss if it has no frames or the spool is full; never blocks."""
@@ -215,3 +219,16 @@ def _loss_without_frames(bundle: FrameBundle) -> Loss:
     if causes == [MissingReason.DOWN]:
         return Loss(reason=LossReason.DOWN, detail="counted by the light gate while the daemon was down")
     return Loss(reason=LossReason.NO_FRAMES, detail=", ".join(causes) or "no camera delivered")
+
+
+def queue_check(n_queued: int, max_bundles: int, trouble: str | None) -> HealthCheck:
+    """Check that there is room for the next bundles, and that none was lost lately."""
+    waiting = f"{n_queued} of {max_bundles} waiting"
+    return HealthCheck(
+        status=CheckStatus.of(
+            warn=2 * n_queued > max_bundles or trouble is not None, fail=n_queued >= max_bundles
+        ),
+        observed_value=n_queued,
+        observed_unit="bundles",
+        detail=waiting if trouble is None else f"{waiting}; within the last minute: {trouble}",
+    )

@@ -23,6 +23,7 @@ from support.stores import folder_of
 from typer.testing import CliRunner
 
 from service.base.errors import StoreError
+from service.base.status import trouble_check
 from service.commands.cli import build_app
 from service.daemon.backing_up import BackingUp
 from service.store import Store, backups, history, open_store
@@ -201,7 +202,7 @@ async def test_backups_are_made_by_themselves_and_a_failure_is_told() -> None:
     task = asyncio.create_task(backing_up.run())
     while backing_up.trouble is None:  # noqa: ASYNC110 - it is no event
         await asyncio.sleep(0)
-    assert backing_up.trouble == "no room"
+    assert backing_up.checks() == {"backup": trouble_check("no room")}
     await asyncio.wait_for(store.made.wait(), PATIENCE_S)
     while backing_up.trouble is not None:  # noqa: ASYNC110 - as above
         await asyncio.sleep(0)
