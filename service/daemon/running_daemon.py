@@ -3,14 +3,11 @@
 import logging
 import time
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from prometheus_client import Histogram
 
-from drivers.factory import Devices
 from drivers.interfaces import CameraVitals
 from pipeline.frames import CameraId, Image
 from service.acquisition.acquisition import Acquisition
@@ -26,14 +23,12 @@ from service.base.status import (
 from service.calibration.calibrations import Calibrations
 from service.configuration.diagnostic_inputs import diagnostic_inputs
 from service.configuration.settings import Settings
-from service.daemon.alarming import Alarming
-from service.daemon.backing_up import BackingUp
 from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import LoopWatch
 from service.daemon.part import Part
 from service.daemon.reloading import Configuration
 from service.daemon.retaining import Retaining
-from service.delivery.file_drop import FileDrop
+from service.daemon.session import Session
 from service.delivery.webhooks import Webhooks
 from service.health.alarms.alarms import Alarms
 from service.health.assessment import assess
@@ -45,24 +40,27 @@ from service.health.rig_watch import CameraScore, RigWatch
 from service.health.segmentation_watch import SegmentationWatch
 from service.host.diagnostics.inputs import Inputs
 from service.lots.shifts import LotsSettings
-from service.processing.left_bundles import LeftBundle
 from service.processing.processing import Processing
 from service.processing.spool import Spool
 from service.processing.worker_pool import WorkerPool
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
-from service.store import Store
 from service.store.checks import free_bytes
 
 log = logging.getLogger(__name__)
 
 
+N_LATEST = 100
+"""Outcomes whose delays are remembered one by one."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Watches:
-    """The observers of the loop, of the rig's geometry and optics, of segmentation and refinement."""
+    """The observers of loop and progress, of the rig's geometry and optics, of segmentation and refinement."""
 
     loop: LoopWatch
+    progress: Heartbeats
     rig: RigWatch
     optics: OpticalWatch
     segmentation: SegmentationWatch
@@ -71,33 +69,27 @@ class Watches:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Daemon:
-    """The parts of the running daemon; implements `service.api.control.Control`."""
+    """What REST, metrics and the watchdog ask of the parts; implements `service.api.control.Control`."""
 
     configured: Configuration
-    store: Store
+    session: Session
+    watches: Watches
     keys: KeyRing
-    devices: Devices
-    session: int
-    calibrations: Calibrations
-    folder: Path  # on tmpfs, of this session, for bundles and for the workers' files
-    pool: WorkerPool
-    spool: Spool
-    left: Sequence[LeftBundle]  # by a killed daemon, to be measured yet when this one began
     recordings: Recordings
-    archive: RawArchive
-    backing_up: BackingUp
-    retaining: Retaining
-    alarming: Alarming
-    webhooks: Webhooks
-    file_drop: FileDrop
+    calibrations: Calibrations
     acquisition: Acquisition
+    spool: Spool
+    archive: RawArchive
+    pool: WorkerPool
     processing: Processing
     remeasuring: Remeasuring
+    retaining: Retaining
+    alarms: Alarms
+    webhooks: Webhooks
     delays: Histogram
     latest_delays_s: deque[float]
-    heartbeats: Heartbeats
-    watches: Watches
-    parts: Sequence[Part]
+    parts: list[Part] = field(default_factory=list)
+    """In the order in which they start."""
 
     @property
     def settings(self) -> Settings:
@@ -106,10 +98,6 @@ class Daemon:
     @property
     def lots(self) -> LotsSettings:
         return self.settings.lots
-
-    @property
-    def alarms(self) -> Alarms:
-        return self.alarming.alarms
 
     def configuration(self) -> dict[str, Any]:
         return self.settings.model_dump(mode="json")
@@ -128,13 +116,10 @@ class Daemon:
         StoreError
             The store cannot note new endpoints; nothing is changed.
         """
-        if new.webhooks != old.webhooks:
+        if new.webhooks != old.webhooks:  # first, as no other part can refuse
             await self.webhooks.use(new.webhooks)
-        self.watches.optics.limits = new.optics
-        self.calibrations.verifications.parameters = new.verification
-        self.retaining.use(new.store.retention)
-        self.backing_up.use(every_h=new.store.backup_every_h, keep=new.store.keep_backups)
-        self.keys.use(new.api.keys)
+        for part in self.parts:
+            part.use(new)
 
     def acquisition_status(self) -> AcquisitionStatus:
         return self.acquisition.status()
@@ -190,22 +175,20 @@ class Daemon:
             left_out=self.archive.left_out,
             refinement=self.watches.refinement.trend,
             loop_ms=self.watches.loop.worst_ms(),
-            free_bytes=free_bytes(self.settings.store.dir),
+            free_bytes=free_bytes(self.session.store.dir),
             retention=self.retaining.facts,
         )
-
-    def late(self) -> list[Watched]:
-        """Return the parts that have something to do and make no progress."""
-        return self.heartbeats.late(time.monotonic())
 
     def watch(self) -> list[Watched]:
         """Record that idle parts are not late, and return those that are; to be called often."""
         if not self.acquisition.is_active:
-            self.heartbeats.beat(Watched.ACQUISITION, time.monotonic())
-        if self.spool.n_queued == 0 or self.store.trouble is not None:  # which is named by its own check
-            self.heartbeats.beat(Watched.PROCESSING, time.monotonic())
-        return self.late()
+            self.watches.progress.beat(Watched.ACQUISITION, time.monotonic())
+        # a store that is held is named by its own check
+        if self.spool.n_queued == 0 or self.session.store.trouble is not None:
+            self.watches.progress.beat(Watched.PROCESSING, time.monotonic())
+        return self.watches.progress.late(time.monotonic())
 
     def status(self) -> str:
         """Return one line for `systemctl status`."""
-        return f"{self.acquisition.state}, {self.spool.n_queued} bundles waiting, last result {self.store.last_seq}"
+        last_seq = self.session.store.last_seq
+        return f"{self.acquisition.state}, {self.spool.n_queued} bundles waiting, last result {last_seq}"

@@ -16,18 +16,13 @@ class Facts:
     acquisition: AcquisitionStatus
     cameras: Sequence[CameraStatus]
     calibration: CalibrationFacts
-    waiting: int
-    """Bundles in the spool."""
+    waiting: int  # bundles in the spool
     max_waiting: int
-    workers: int
-    """Processes that run."""
+    workers: int  # processes that run
     slots: int
     worker_restarts: int
-    left_out: int
-    """Results whose frames were not archived."""
+    left_out: int  # results whose frames were not archived
     refinement: RefinementTrend
-    loop_ms: float
-    """Longest delay of the event loop within a minute."""
-    free_bytes: int | None
-    """Free space on the store's file system, None if that does not answer."""
+    loop_ms: float  # longest delay of the event loop within a minute
+    free_bytes: int | None  # free space on the store's file system, None if that does not answer
     retention: RetentionFacts

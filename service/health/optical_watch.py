@@ -141,8 +141,12 @@ class OpticalWatch:
 
     def __init__(self, rig: RigCalibration, limits: OpticalParameters) -> None:
         self._rig = rig  # the configured one, for any calibration has the same neighbours
-        self.limits = limits
+        self._limits = limits
         self._cameras = {camera.id: _Camera() for camera in rig.cameras}
+
+    def use(self, limits: OpticalParameters) -> None:
+        """Take other limits from the next exposure on."""
+        self._limits = limits
 
     def checks(self) -> Checks:
         return {"optics": optics_check(self.findings(), len(self._cameras))}
@@ -155,7 +159,7 @@ class OpticalWatch:
         """Take the optics of one exposure into account, as `service.results.record.optics_record` writes them."""
         for name, camera in self._cameras.items():
             if name in optics:
-                camera.add(optics[name], self.limits)
+                camera.add(optics[name], self._limits)
 
     def optics(self) -> dict[CameraId, CameraOptics]:
         """Return the optics of every camera of the rig."""

@@ -12,7 +12,7 @@ from statistics import median
 from typing import Any
 
 from pipeline.frames import BundleKind
-from service.base.status import Checks, HealthCheck, trouble_check
+from service.base.status import Checks, trouble_check
 from service.results.refinement import RUSH
 
 WINDOW = 100
@@ -78,7 +78,10 @@ class RefinementWatch:
             self.trend = self._judged(self.trend)
 
     def checks(self) -> Checks:
-        return {"refinement": refinement_check(self.trend)}
+        """Check whether there is time to look for dents, and whether pixels show as much as they did."""
+        share = self.trend.supported_share
+        shown = None if share is None else round(share, 3)
+        return {"refinement": trouble_check(self.trend.warning, shown, "share")}
 
     def _judged(self, before: RefinementTrend) -> RefinementTrend:
         looked_at = [share for share in self._latest if share is not None]
@@ -97,9 +100,3 @@ class RefinementWatch:
             is_rushed=rushed_share > RUSHED_SHARE * (HYSTERESIS if before.is_rushed else 1),
             has_fallen=has_fallen,
         )
-
-
-def refinement_check(trend: RefinementTrend) -> HealthCheck:
-    """Check whether there is time to look for dents, and whether pixels show as much as they did."""
-    share = trend.supported_share
-    return trouble_check(trend.warning, None if share is None else round(share, 3), "share")

@@ -17,7 +17,6 @@ from typing import Any, Protocol
 
 from drivers.errors import RecordingError
 from pipeline.frames import BundleKind, CameraId
-from service.base.status import CheckStatus, HealthCheck
 from service.processing.background_keeping import KeptBackground
 from service.processing.background_versions import BackgroundVersions, LearntBackground
 from service.processing.job_pool import JobPool
@@ -381,15 +380,3 @@ class Processing:
 def _complete(learning: Path, learnt: Path) -> Path:
     """Give a version of the background the name that says that it is complete."""
     return learning.rename(learnt)
-
-
-def background_check(*, has_background: bool, has_network: bool) -> HealthCheck:
-    """Check that the empty rig was exposed; a network needs no background."""
-    problem = "the empty rig was not exposed yet: let no stone fall for a moment"
-    if has_network:
-        problem += "; until then the network alone finds them"
-    return HealthCheck(
-        status=CheckStatus.of(warn=not has_background),
-        observed_value=has_background,
-        detail=None if has_background else problem,
-    )

@@ -109,7 +109,18 @@ class Spool:
         return self.n_queued + self._n_losses + sum(each.trigger.n_stones for each in self._counted.values())
 
     def checks(self) -> Checks:
-        return {"queue": queue_check(self.n_queued, self.max_bundles, self.trouble)}
+        """Check that there is room for the next bundles, and that none was lost lately."""
+        trouble, waiting = self.trouble, f"{self.n_queued} of {self.max_bundles} waiting"
+        is_filling = 2 * self.n_queued > self.max_bundles
+        check = HealthCheck(
+            status=CheckStatus.of(
+                warn=is_filling or trouble is not None, fail=self.n_queued >= self.max_bundles
+            ),
+            observed_value=self.n_queued,
+            observed_unit="bundles",
+            detail=waiting if trouble is None else f"{waiting}; within the last minute: {trouble}",
+        )
+        return {"queue": check}
 
     def offer(self, bundle: FrameBundle) -> None:
         """Add a bundle, or its loss if it has no frames or the spool is full; never blocks."""
@@ -219,16 +230,3 @@ def _loss_without_frames(bundle: FrameBundle) -> Loss:
     if causes == [MissingReason.DOWN]:
         return Loss(reason=LossReason.DOWN, detail="counted by the light gate while the daemon was down")
     return Loss(reason=LossReason.NO_FRAMES, detail=", ".join(causes) or "no camera delivered")
-
-
-def queue_check(n_queued: int, max_bundles: int, trouble: str | None) -> HealthCheck:
-    """Check that there is room for the next bundles, and that none was lost lately."""
-    waiting = f"{n_queued} of {max_bundles} waiting"
-    return HealthCheck(
-        status=CheckStatus.of(
-            warn=2 * n_queued > max_bundles or trouble is not None, fail=n_queued >= max_bundles
-        ),
-        observed_value=n_queued,
-        observed_unit="bundles",
-        detail=waiting if trouble is None else f"{waiting}; within the last minute: {trouble}",
-    )

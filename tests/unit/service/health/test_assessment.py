@@ -1,7 +1,9 @@
 """What follows from the checks of the parts, and what each part says of itself, by the checks that it makes."""
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -27,10 +29,12 @@ from service.daemon.loop_watch import clock_check, loop_check
 from service.health.alarms.rules import load_rules
 from service.health.assessment import assess
 from service.health.optical_watch import OpticalFinding, Severity, optics_check
-from service.health.refinement_watch import RefinementTrend, refinement_check
+from service.health.refinement_watch import RefinementTrend, RefinementWatch
 from service.health.rig_watch import CameraScore, Suspicion, rig_check
-from service.processing.processing import background_check
-from service.processing.spool import queue_check
+from service.health.segmentation_watch import SegmentationWatch
+from service.processing.bundle_files import BundleFiles
+from service.processing.segmenters import CLASSICAL, SegmenterPlan
+from service.processing.spool import Spool
 from service.processing.worker_pool import workers_check
 from service.store.checks import LOW_DISK_BYTES, disk_check, retention_checks, store_check
 from service.store.disk_use import RetentionFacts, StoreUse
@@ -63,21 +67,35 @@ def devices(
     return rig_checks(rig, statuses, **{**healthy, **state})
 
 
+def queue(n: int, trouble: str | None = None) -> Checks:
+    spool = Spool(BundleFiles(Path("spool")), max_bundles=16, camera_ids=())
+    spool.n_queued = n
+    if trouble is not None:
+        spool._troubles["lost"] = trouble, time.monotonic()
+    return spool.checks()
+
+
+def dents(trend: RefinementTrend) -> Checks:
+    watch = RefinementWatch()
+    watch.trend = trend
+    return watch.checks()
+
+
 HEALTHY: Checks = {
     **dict.fromkeys(load_rules().checks[1:], trouble_check(None)),
     **devices(),
     "loop": loop_check(3.0),
     "clock": clock_check(None, is_unset=False),
-    "queue": queue_check(0, 16, None),
+    **queue(0),
     "workers": workers_check(2, 2, 0, None),
-    "background": background_check(has_background=True, has_network=False),
+    **SegmentationWatch(CLASSICAL).checks(has_background=True),
     **calibration_checks(CALIBRATED),
     "store": store_check(None, (), last_seq=7, n_waiting=0),
     "disk": disk_check(100 * LOW_DISK_BYTES),
     **retention_checks(RetentionFacts(warn_days=7.0)),
     "rig": rig_check((), ()),
     "optics": optics_check((), 16),
-    "refinement": refinement_check(RefinementTrend()),
+    **RefinementWatch().checks(),
 }
 
 
@@ -194,10 +212,10 @@ def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne
             "clock: the wall clock was not set since the host started: give it a time server, or timedatectl set-time;"
             " until then results are marked time_is_doubtful",
         ),
-        ({"queue": queue_check(9, 16, None)}, Ne107.MAINTENANCE_REQUIRED, True, "queue: 9 of 16 waiting"),
-        ({"queue": queue_check(16, 16, None)}, Ne107.FAILURE, False, "queue: 16 of 16 waiting"),
+        (queue(9), Ne107.MAINTENANCE_REQUIRED, True, "queue: 9 of 16 waiting"),
+        (queue(16), Ne107.FAILURE, False, "queue: 16 of 16 waiting"),
         (
-            {"queue": queue_check(0, 16, "3 stones lost since the start (16 bundles were waiting)")},
+            queue(0, "3 stones lost since the start (16 bundles were waiting)"),
             Ne107.MAINTENANCE_REQUIRED,
             True,
             "queue: 0 of 16 waiting; within the last minute: "
@@ -229,13 +247,13 @@ def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne
             "progress: no progress of acquisition, processing: look at the journal",
         ),
         (
-            {"background": background_check(has_background=False, has_network=False)},
+            SegmentationWatch(CLASSICAL).checks(has_background=False),
             Ne107.OUT_OF_SPECIFICATION,
             False,
             "background: the empty rig was not exposed yet: let no stone fall for a moment",
         ),
         (
-            {"background": background_check(has_background=False, has_network=True)},
+            SegmentationWatch(SegmenterPlan(model=b"an ONNX file")).checks(has_background=False),
             Ne107.OUT_OF_SPECIFICATION,
             False,
             "background: the empty rig was not exposed yet: let no stone fall for a moment; until then the network"
@@ -326,7 +344,7 @@ def test_dirty_windows_ask_for_maintenance_before_results_suffer(severity: Sever
 
 def test_dents_that_are_not_seen_ask_for_maintenance_and_stones_are_measured_on():
     seen = RefinementTrend(supported_share=0.6123, reference_share=0.8, rushed_share=0.1)
-    health = assessed({"refinement": refinement_check(seen)})
+    health = assessed(dents(seen))
     check = health.checks["refinement"]
     assert (health.ne107, check.detail) == (Ne107.GOOD, None)
     assert (check.observed_value, check.observed_unit) == (0.612, "share")
@@ -340,7 +358,7 @@ def test_dents_that_are_not_seen_ask_for_maintenance_and_stones_are_measured_on(
             "pixels support 30% of the surface, 80% at the",
         ),
     ):
-        health = assessed({"refinement": refinement_check(trend)})
+        health = assessed(dents(trend))
         assert (health.ne107, health.ready) == (Ne107.MAINTENANCE_REQUIRED, True)
         (reason,) = health.reasons
         assert reason.startswith(f"refinement: {said}")
