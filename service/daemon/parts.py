@@ -39,26 +39,18 @@ def parts_of(daemon: Daemon, file_drop: FileDrop, reading: Reading, requests: St
     made up for by the next start, or asked for again.
     """
     session, watches, calibrations = daemon.session, daemon.watches, daemon.calibrations
-    store, settings = session.store, session.settings
+    store, archive, retaining = session.store, daemon.archive, daemon.retaining
     alarming = Alarming(daemon.alarms, session.events)
-    backing_up = BackingUp(store, every_h=settings.store.backup_every_h, keep=settings.store.keep_backups)
+    backing_up = BackingUp(store, session.settings.store)
     return [
         Part(run=watches.loop.run, checks=watches.loop.checks),
         Part(run=partial(alarming.run, daemon.health), close=partial(_end_alarming, session.events)),
+        Part(run=archive.run, close=partial(_end_archive, archive, requests), checks=archive.checks),
+        Part(run=backing_up.run, checks=backing_up.checks, use=lambda new: backing_up.use(new.store)),
         Part(
-            run=daemon.archive.run,
-            close=partial(_end_archive, daemon.archive, requests),
-            checks=daemon.archive.checks,
-        ),
-        Part(
-            run=backing_up.run,
-            checks=backing_up.checks,
-            use=lambda new: backing_up.use(every_h=new.store.backup_every_h, keep=new.store.keep_backups),
-        ),
-        Part(
-            run=daemon.retaining.run,
-            checks=daemon.retaining.checks,
-            use=lambda new: daemon.retaining.use(new.store.retention),
+            run=retaining.run,
+            checks=retaining.checks,
+            use=lambda new: retaining.use(new.store.retention),
         ),
         Part(run=daemon.webhooks.run, checks=daemon.webhooks.checks),
         Part(run=partial(file_drop.run, files_maker(store, daemon, reading)), checks=file_drop.checks),

@@ -7,8 +7,9 @@ what is not measured yet. An exception that a part does not handle ends the task
 import asyncio
 import logging
 import shutil
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from functools import partial
 from pathlib import Path
 from socket import socket
 
@@ -23,6 +24,7 @@ from service.daemon.build import build
 from service.daemon.part import Part, Running, started
 from service.daemon.reloading import Configuration
 from service.daemon.running_daemon import Daemon
+from service.daemon.session import Session
 from service.daemon.stopping import StopRequests
 from service.daemon.systemd import EXTENSION_US, ServiceManager, feed_watchdog, reloading
 from service.processing.process_memory import freeze_gc, keep_freed_memory
@@ -57,14 +59,18 @@ async def run(settings: Settings, manager: ServiceManager, file: Path) -> None:
         reading = ReaderProcess()
         daemon = await build(Configuration(settings, file), store, reading, requests)
         resources.push_async_callback(asyncio.to_thread, daemon.session.devices.close)
-        resources.push_async_exit(_end_of_spool(daemon.session.folder))
+        resources.push_async_exit(partial(_end_spool, daemon.session.folder))
         resources.callback(daemon.pool.close)
         resources.push_async_callback(daemon.recordings.close)
         resources.callback(reading.close)
         server = await _warmed_up(daemon, reading, manager)
+        watchdog = Part(
+            run=partial(feed_watchdog, manager, daemon.watch, daemon.status, requests.stop),
+            close=partial(_tell_accounting, daemon.session),
+        )
         async with asyncio.TaskGroup() as tasks, AsyncExitStack() as running:
             await running.enter_async_context(_serving(daemon, tasks, server, listener))
-            for part in (_watchdog(daemon, manager, requests), *daemon.parts):
+            for part in (watchdog, *daemon.parts):
                 await running.enter_async_context(started(part, tasks))
             await running.enter_async_context(_measuring(daemon, tasks, manager, requests))
             await requests.stop.wait()
@@ -88,16 +94,12 @@ async def _opened_store(settings: Settings, manager: ServiceManager, requests: S
     return None
 
 
-def _end_of_spool(folder: Path) -> Callable[..., Awaitable[None]]:
-    """Return the exit callback that removes the spool, unless the daemon fails: then the next one measures it."""
-
-    async def remove(kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)
-            with suppress(OSError):  # the folder of the store, unless something else is in it
-                folder.parent.rmdir()
-
-    return remove
+async def _end_spool(folder: Path, kind: type[BaseException] | None, *_: object) -> None:
+    """Remove the spool, unless the daemon fails: then the next one measures it."""
+    if kind is None:
+        await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)
+        with suppress(OSError):  # the folder of the store, unless something else is in it
+            folder.parent.rmdir()
 
 
 async def _warmed_up(daemon: Daemon, reading: ReaderProcess, manager: ServiceManager) -> RestServer:
@@ -133,14 +135,9 @@ async def _serving(
     await serving
 
 
-def _watchdog(daemon: Daemon, manager: ServiceManager, requests: StopRequests) -> Part:
-    """Return the part that feeds the service manager's watchdog with progress, and tells at the end what was done."""
-
-    async def close(running: Running) -> None:
-        with suppress(StoreError):  # of a store that is damaged, which health has told
-            log.info("stopped %s", await daemon.session.store.accounting(daemon.session.number))
-
-    return Part(run=lambda: feed_watchdog(manager, daemon.watch, daemon.status, requests.stop), close=close)
+async def _tell_accounting(session: Session, running: Running) -> None:
+    with suppress(StoreError):  # of a store that is damaged, which health has told
+        log.info("stopped %s", await session.store.accounting(session.number))
 
 
 @asynccontextmanager

@@ -159,125 +159,105 @@ def test_lost_cameras_count_as_the_quality_they_still_allow(lost: int, state: Ne
 
 
 @pytest.mark.parametrize(
-    ("changed", "state", "is_ready", "reason"),
+    ("changed", "reason"),
     [
-        (
-            devices(rig(AcquisitionState.ARMED, gate="lost", gate_error="unplugged")),
-            Ne107.FAILURE,
-            False,
-            "gate: unplugged",
-        ),
-        (
-            devices(ARMED.model_copy(update={"gate_warnings": ("the beam has been closed",)})),
-            Ne107.MAINTENANCE_REQUIRED,
-            True,
-            "gate: the beam has been closed",
-        ),
+        (devices(rig(AcquisitionState.ARMED, gate="lost", gate_error="unplugged")), "gate: unplugged"),
         (
             devices(blind_triggers=3),
-            Ne107.FAILURE,
-            False,
             "trigger_line: 3 triggers in a row without any image: look at the line from gate to cameras",
         ),
         (
             devices(
                 blind_triggers=3, process=CameraProcessStatus(state=ProcessState.SILENT, trouble="hangs")
             ),
-            Ne107.FAILURE,
-            False,
             "camera_process: hangs",
+        ),
+        (queue(16), "queue: 16 of 16 waiting"),
+        ({"workers": workers_check(0, 2, 0, None)}, "workers: 0 of 2 up, 0 restarts"),
+        (
+            late(Watched.ACQUISITION, Watched.PROCESSING),
+            "progress: no progress of acquisition, processing: look at the journal",
+        ),
+        ({"disk": disk_check(10**7)}, "disk: 0.0 GB free for results"),
+    ],
+)
+def test_without_a_part_there_are_no_results(changed: Checks, reason: str):
+    health = assessed(changed)
+    assert (health.ne107, health.ready, health.reasons) == (Ne107.FAILURE, False, (reason,))
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        (
+            devices(ARMED.model_copy(update={"gate_warnings": ("the beam has been closed",)})),
+            "gate: the beam has been closed",
         ),
         (
             devices(process=CameraProcessStatus(state=ProcessState.REPLACED, replaced=1, trouble="hung")),
-            Ne107.MAINTENANCE_REQUIRED,
-            True,
             "camera_process: hung",
         ),
         (
             {"loop": loop_check(300.0)},
-            Ne107.MAINTENANCE_REQUIRED,
-            True,
             "loop: held up for 300 ms within the last minute: look at the load of the machine",
         ),
+        (queue(9), "queue: 9 of 16 waiting"),
+        (queue(0, "3 stones lost"), "queue: 0 of 16 waiting; within the last minute: 3 stones lost"),
+        (
+            {"workers": workers_check(2, 2, 1, "deadline: not finished within 5 s")},
+            "workers: 2 of 2 up, 1 restarts; within the last minute: deadline: not finished within 5 s",
+        ),
+        ({"workers": workers_check(1, 2, 4, None)}, "workers: 1 of 2 up, 4 restarts"),
+        ({"keys": trouble_check("its keys are not accepted")}, "keys: its keys are not accepted"),
+        ({"disk": disk_check(5 * 10**8)}, "disk: 0.5 GB free for results"),
+    ],
+)
+def test_what_costs_no_result_yet_is_maintenance(changed: Checks, reason: str):
+    health = assessed(changed)
+    assert (health.ne107, health.ready, health.reasons) == (Ne107.MAINTENANCE_REQUIRED, True, (reason,))
+
+
+@pytest.mark.parametrize(
+    ("changed", "is_ready", "reason"),
+    [
         (
             {"clock": clock_check(-3600.0, is_unset=False)},
-            Ne107.OUT_OF_SPECIFICATION,
             True,
             "clock: the wall clock was set by -3600.0 s: times of results are in doubt",
         ),
         (
             {"clock": clock_check(None, is_unset=True)},
-            Ne107.OUT_OF_SPECIFICATION,
             True,
             "clock: the wall clock was not set since the host started: give it a time server, or timedatectl set-time;"
             " until then results are marked time_is_doubtful",
         ),
-        (queue(9), Ne107.MAINTENANCE_REQUIRED, True, "queue: 9 of 16 waiting"),
-        (queue(16), Ne107.FAILURE, False, "queue: 16 of 16 waiting"),
-        (
-            queue(0, "3 stones lost since the start (16 bundles were waiting)"),
-            Ne107.MAINTENANCE_REQUIRED,
-            True,
-            "queue: 0 of 16 waiting; within the last minute: "
-            "3 stones lost since the start (16 bundles were waiting)",
-        ),
-        (
-            {"workers": workers_check(2, 2, 1, "deadline: not finished within 5 s")},
-            Ne107.MAINTENANCE_REQUIRED,
-            True,
-            "workers: 2 of 2 up, 1 restarts; within the last minute: deadline: not finished within 5 s",
-        ),
-        (
-            {"workers": workers_check(1, 2, 4, None)},
-            Ne107.MAINTENANCE_REQUIRED,
-            True,
-            "workers: 1 of 2 up, 4 restarts",
-        ),
-        ({"workers": workers_check(0, 2, 0, None)}, Ne107.FAILURE, False, "workers: 0 of 2 up, 0 restarts"),
-        (
-            {"keys": trouble_check("state/keys.json: Invalid JSON: its keys are not accepted")},
-            Ne107.MAINTENANCE_REQUIRED,
-            True,
-            "keys: state/keys.json: Invalid JSON: its keys are not accepted",
-        ),
-        (
-            late(Watched.ACQUISITION, Watched.PROCESSING),
-            Ne107.FAILURE,
-            False,
-            "progress: no progress of acquisition, processing: look at the journal",
-        ),
         (
             SegmentationWatch(CLASSICAL).checks(has_background=False),
-            Ne107.OUT_OF_SPECIFICATION,
             False,
             "background: the empty rig was not exposed yet: let no stone fall for a moment",
         ),
         (
             SegmentationWatch(SegmenterPlan(model=b"an ONNX file")).checks(has_background=False),
-            Ne107.OUT_OF_SPECIFICATION,
             False,
             "background: the empty rig was not exposed yet: let no stone fall for a moment; until then the network"
             " alone finds them",
         ),
         (
             calibration_checks(replace(CALIBRATED, trouble="verification 0001 failed")),
-            Ne107.OUT_OF_SPECIFICATION,
             True,
             "calibration: verification 0001 failed",
         ),
-        (
-            calibration_checks(replace(CALIBRATED, at_work="what falls is a ball")),
-            Ne107.CHECK_FUNCTION,
-            True,
-            "drops: what falls is a ball",
-        ),
-        ({"disk": disk_check(5 * 10**8)}, Ne107.MAINTENANCE_REQUIRED, True, "disk: 0.5 GB free for results"),
-        ({"disk": disk_check(10**7)}, Ne107.FAILURE, False, "disk: 0.0 GB free for results"),
     ],
 )
-def test_whatever_is_wrong_is_named(changed: Checks, state: Ne107, is_ready: bool, reason: str):
+def test_what_makes_results_doubtful_is_out_of_specification(changed: Checks, is_ready: bool, reason: str):
     health = assessed(changed)
-    assert (health.ne107, health.ready, health.reasons) == (state, is_ready, (reason,))
+    assert (health.ne107, health.ready, health.reasons) == (Ne107.OUT_OF_SPECIFICATION, is_ready, (reason,))
+
+
+def test_while_balls_fall_results_are_not_those_of_stones():
+    health = assessed(calibration_checks(replace(CALIBRATED, at_work="what falls is a ball")))
+    assert (health.ne107, health.ready) == (Ne107.CHECK_FUNCTION, True)
+    assert health.reasons == ("drops: what falls is a ball",)
 
 
 @pytest.mark.parametrize(
