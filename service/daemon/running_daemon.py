@@ -32,7 +32,7 @@ from service.daemon.session import Session
 from service.delivery.webhooks import Webhooks
 from service.health.alarms.alarms import Alarms
 from service.health.assessment import assess
-from service.health.device_words import camera_ne107
+from service.health.device_words import camera_ne107, rig_ne107
 from service.health.facts import Facts
 from service.health.optical_watch import OpticalWatch
 from service.health.refinement_watch import RefinementWatch
@@ -154,11 +154,11 @@ class Daemon:
     def health(self) -> Health:
         return assess(
             (part.checks() for part in self.parts),
-            rig=self.acquisition.status(),
+            acquisition=self.acquisition.status(),
             views=self.settings.views,
-            calibration=self.calibrations.facts(),
-            suspicions=self.watches.rig.suspicions(),
-            findings=self.watches.optics.findings(),
+            rig_ne107=rig_ne107(
+                self.watches.rig.suspicions(), self.watches.optics.findings(), self.calibrations.facts()
+            ),
         )
 
     def facts(self) -> Facts:

@@ -4,35 +4,27 @@ The daemon degrades and flags instead of stopping, and never continues silently:
 than specified has a check that names it, made by the part that it is about. Here is what crosses parts.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from pipeline.views.quality import ViewsParameters
 from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,
-    CalibrationFacts,
     Checks,
     CheckStatus,
     Health,
     Ne107,
 )
 from service.health.alarms.rules import CAMERA, load_rules
-from service.health.device_words import gate_ne107, rig_ne107
-from service.health.optical_watch import OpticalFinding, Severity
-from service.health.rig_watch import Suspicion
-
-DOUBTFUL = ("clock", "background", "calibration")
-"""Checks that, unless they pass, say that results are less certain than specified."""
+from service.health.device_words import gate_ne107
 
 
 def assess(
     parts: Iterable[Checks],
     *,
-    rig: AcquisitionStatus,
+    acquisition: AcquisitionStatus,
     views: ViewsParameters,
-    calibration: CalibrationFacts,
-    suspicions: Sequence[Suspicion],
-    findings: Sequence[OpticalFinding],
+    rig_ne107: Ne107,
 ) -> Health:
     """Return the checks of all parts, in the order of `alarms.toml`, and the state that follows from them.
 
@@ -40,40 +32,35 @@ def assess(
     they still allow: reduced is *maintenance required*, degraded *out of specification*.
     """
     checks = _in_order(parts)
-    of_all = {name: check for name, check in checks.items() if not name.startswith(f"{CAMERA}:")}
+    passing = {name for name, check in checks.items() if check.status is CheckStatus.PASS}
+    failing = {name for name, check in checks.items() if check.status is CheckStatus.FAIL}
+    cameras = {name for name in checks if name.startswith(f"{CAMERA}:")}
     # what all cameras have in common explains each of them
-    told = checks if checks["cameras"].status is CheckStatus.PASS else of_all
-    reasons = tuple(
-        f"{name}: {check.detail}" for name, check in told.items() if check.status is not CheckStatus.PASS
-    )
-    is_armed = rig.state is AcquisitionState.ARMED
+    explained = passing if "cameras" in passing else passing | cameras
+    reasons = tuple(f"{name}: {check.detail}" for name, check in checks.items() if name not in explained)
+    is_armed = acquisition.state is AcquisitionState.ARMED
     if not is_armed:
-        reasons = (f"acquisition: {rig.state}", *reasons)
-    has_failed = rig.state is AcquisitionState.HELD or any(
-        check.status is CheckStatus.FAIL for check in of_all.values()
-    )
-    usable = sum(check.status is not CheckStatus.FAIL for name, check in checks.items() if name not in of_all)
-    passes = {name for name, check in checks.items() if check.status is CheckStatus.PASS}
-    if has_failed or usable < views.min:
+        reasons = (f"acquisition: {acquisition.state}", *reasons)
+    usable = len(cameras - failing)
+    if acquisition.state is AcquisitionState.HELD or failing - cameras or usable < views.min:
         ne107 = Ne107.FAILURE
     elif (
         usable < views.reduced
-        or not passes.issuperset(DOUBTFUL)
-        or any(suspicion.is_dropped for suspicion in suspicions)
-        or any(finding.severity is Severity.OUT_OF_SPECIFICATION for finding in findings)
+        or not passing.issuperset(("clock", "background"))
+        or rig_ne107 is Ne107.OUT_OF_SPECIFICATION
     ):
         ne107 = Ne107.OUT_OF_SPECIFICATION
-    elif not is_armed or "drops" not in passes:
+    elif not is_armed or "drops" not in passing:
         ne107 = Ne107.CHECK_FUNCTION
     else:
         ne107 = Ne107.MAINTENANCE_REQUIRED if reasons else Ne107.GOOD
     return Health(
         ne107=ne107,
-        ready=is_armed and not has_failed and usable >= views.min and "background" in passes,
+        ready=is_armed and ne107 is not Ne107.FAILURE and "background" in passing,
         reasons=reasons,
         checks=checks,
-        gate_ne107=gate_ne107(rig),
-        rig_ne107=rig_ne107(suspicions, findings, calibration),
+        gate_ne107=gate_ne107(acquisition),
+        rig_ne107=rig_ne107,
     )
 
 

@@ -1,7 +1,7 @@
 """What follows from the checks of the parts, and what each part says of itself, by the checks that it makes."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import clock_check, loop_check
 from service.health.alarms.rules import load_rules
 from service.health.assessment import assess
+from service.health.device_words import rig_ne107
 from service.health.optical_watch import OpticalFinding, Severity, optics_check
 from service.health.refinement_watch import RefinementTrend, RefinementWatch
 from service.health.rig_watch import CameraScore, Suspicion, rig_check
@@ -99,16 +100,14 @@ HEALTHY: Checks = {
 }
 
 
-def assessed(changed: Checks = {}, **state: Any) -> Health:  # noqa: B006 - never changed
+def assessed(
+    changed: Checks = {},  # noqa: B006 - never changed
+    acquisition: AcquisitionStatus = ARMED,
+    rig_ne107: Ne107 = Ne107.GOOD,
+) -> Health:
     """Return the health of a healthy rig but for these checks, and for the state that no check has."""
-    healthy: Mapping[str, Any] = {
-        "rig": ARMED,
-        "views": ViewsParameters(),
-        "calibration": CALIBRATED,
-        "suspicions": (),
-        "findings": (),
-    }
-    return assess([HEALTHY, changed], **{**healthy, **state})
+    views = ViewsParameters()
+    return assess([HEALTHY, changed], acquisition=acquisition, views=views, rig_ne107=rig_ne107)
 
 
 def late(*parts: Watched) -> Checks:
@@ -242,16 +241,18 @@ def test_what_costs_no_result_yet_is_maintenance(changed: Checks, reason: str):
             "background: the empty rig was not exposed yet: let no stone fall for a moment; until then the network"
             " alone finds them",
         ),
-        (
-            calibration_checks(replace(CALIBRATED, trouble="verification 0001 failed")),
-            True,
-            "calibration: verification 0001 failed",
-        ),
     ],
 )
 def test_what_makes_results_doubtful_is_out_of_specification(changed: Checks, is_ready: bool, reason: str):
     health = assessed(changed)
     assert (health.ne107, health.ready, health.reasons) == (Ne107.OUT_OF_SPECIFICATION, is_ready, (reason,))
+
+
+def test_a_calibration_in_doubt_is_out_of_specification():
+    failed = replace(CALIBRATED, trouble="verification 0001 failed")
+    health = assessed(calibration_checks(failed), rig_ne107=rig_ne107((), (), failed))
+    assert (health.ne107, health.ready) == (Ne107.OUT_OF_SPECIFICATION, True)
+    assert health.reasons == ("calibration: verification 0001 failed",)
 
 
 def test_while_balls_fall_results_are_not_those_of_stones():
@@ -265,7 +266,7 @@ def test_while_balls_fall_results_are_not_those_of_stones():
     [(AcquisitionState.DISARMED, Ne107.CHECK_FUNCTION), (AcquisitionState.HELD, Ne107.FAILURE)],
 )
 def test_a_rig_that_is_not_armed_is_not_ready_and_says_so_first(state: AcquisitionState, ne107: Ne107):
-    health = assessed({"loop": loop_check(300.0)}, rig=rig(state))
+    health = assessed({"loop": loop_check(300.0)}, acquisition=rig(state))
     assert (health.ne107, health.ready, health.reasons[0]) == (ne107, False, f"acquisition: {state}")
 
 
@@ -292,7 +293,7 @@ def test_a_camera_that_moved_is_named_with_the_remedy(is_dropped: bool, state: N
     moved = Suspicion(
         camera=CameraId("c05"), score_px=0.8, is_dropped=is_dropped, detail="moved: recalibrate"
     )
-    health = assessed({"rig": rig_check((moved,), ())}, suspicions=(moved,))
+    health = assessed({"rig": rig_check((moved,), ())}, rig_ne107=rig_ne107((moved,), (), CALIBRATED))
     assert (health.ne107, health.ready) == (state, True)
     assert health.reasons == ("rig: c05: moved: recalibrate",)
     check = health.checks["rig"]
@@ -314,7 +315,7 @@ def test_the_worst_score_of_a_healthy_rig_is_shown():
 def test_dirty_windows_ask_for_maintenance_before_results_suffer(severity: Severity, state: Ne107):
     c05, everywhere = CameraId("c05"), tuple(camera.id for camera in cameras())
     dusty = OpticalFinding(cameras=(c05,), severity=severity, detail="clean window and lens")
-    health = assessed({"optics": optics_check((dusty,), 16)}, findings=(dusty,))
+    health = assessed({"optics": optics_check((dusty,), 16)}, rig_ne107=rig_ne107((), (dusty,), CALIBRATED))
     assert (health.ne107, health.ready) == (state, True)
     assert health.reasons == ("optics: c05: clean window and lens",)
     assert health.checks["optics"].observed_value == 15
@@ -347,7 +348,7 @@ def test_dents_that_are_not_seen_ask_for_maintenance_and_stones_are_measured_on(
 def test_a_held_store_is_a_failure_with_the_remedy():
     full = "database or disk is full: make room on the disk of store.dir"
     held = store_check(full, (), last_seq=7, n_waiting=12)
-    health = assessed({"store": held}, rig=rig(AcquisitionState.HELD))
+    health = assessed({"store": held}, acquisition=rig(AcquisitionState.HELD))
     assert (health.ne107, health.ready) == (Ne107.FAILURE, False)
     assert health.reasons == ("acquisition: held", f"store: {full}; 12 stones wait for it")
 
