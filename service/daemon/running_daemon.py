@@ -50,7 +50,6 @@ from service.store.checks import free_bytes
 
 log = logging.getLogger(__name__)
 
-
 N_LATEST = 100
 """Outcomes whose delays are remembered one by one."""
 
