@@ -19,6 +19,7 @@ from drivers.files.times import utc_ago
 from drivers.inbox import EventInbox
 from drivers.interfaces import CameraLost, CameraVitals, DeviceEvent, GateLost, PlaybackEnded, TriggersLost
 from pipeline.frames import BundleKind, CameraId, FrameBundle, GateCount, Trigger
+from service.acquisition.checks import rig_checks
 from service.acquisition.device_keeper import DeviceKeeper
 from service.acquisition.empty_rig import EmptyRigParameters, expose_empty_rig
 from service.acquisition.gate_watch import GateWatch
@@ -28,6 +29,7 @@ from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,
     AcquisitionTarget,
+    Checks,
     DeviceState,
     NotDisarmedError,
     next_state,
@@ -193,6 +195,16 @@ class Acquisition:
             triggers_ignored=counters.triggers_ignored,
             triggers_lost=counters.triggers_lost,
             events_refused=0 if self._inbox is None else sum(self._inbox.refused.values()),
+        )
+
+    def checks(self) -> Checks:
+        """Return the checks of all devices."""
+        return rig_checks(
+            self.status(),
+            self.cameras.statuses(),
+            common_cause=self.cameras.common_cause,
+            process=self._devices.camera_process(),
+            blind_triggers=self.cameras.blind_triggers,
         )
 
     async def run(self) -> None:

@@ -65,15 +65,15 @@ class Control(Protocol):
         ...
 
     def configuration_state(self) -> ConfigurationState:
-        """Return the state of the configuration file since the daemon has read it."""
+        """Return what became of the file that they are from."""
         ...
 
     def diagnostic_inputs(self) -> Inputs:
-        """Return the inputs of an archive for support, without what the daemon adds; reads files: on a thread."""
+        """Return what an archive for support is made from, without what the daemon adds; reads files: on a thread."""
         ...
 
     def facts(self) -> Facts:
-        """Return the facts that health is assessed from."""
+        """Return the state in figures."""
         ...
 
     def acquisition_status(self) -> AcquisitionStatus: ...

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from service.api.key_file import KEYS, KeyFileError, StoredKey, read_keys, sha256_of
 from service.api.settings import ApiKey
+from service.base.status import Checks, trouble_check
 from service.store import audit
 from service.store.schema import transaction
 
@@ -39,6 +40,10 @@ class KeyRing:
     def use(self, configured: Sequence[ApiKey]) -> None:
         """Replace the keys of the configuration."""
         self._configured = tuple(configured)
+
+    def checks(self) -> Checks:
+        self.refresh()
+        return {"keys": trouble_check(self.trouble)}
 
     def refresh(self) -> None:
         """Read the file if it is another one than at the last time; a look at the file takes microseconds."""

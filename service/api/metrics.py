@@ -1,4 +1,4 @@
-"""What Prometheus reads: the facts of health and the counts of results as text.
+"""What Prometheus reads: the state of the daemon and the counts of results as text.
 
 Names say the unit; what counts up ends in `_total` and starts again with the daemon, but the stones, which are those of
 the store. `deploy/README.md` lists them, `deploy/alerts.yml` has rules for them.
@@ -19,7 +19,6 @@ from pipeline.views.quality import Quality
 from service.api.version import API_VERSION
 from service.base.status import AcquisitionState, CameraOptics, CameraStatus, CheckStatus, DeviceState, Ne107
 from service.calibration.verifications import Verification
-from service.health.assessment import assess
 from service.health.facts import Facts
 from service.results.fields import LossReason, Outcome, Verified
 from service.results.version import ALGORITHM_VERSION
@@ -133,7 +132,7 @@ def _cameras(cameras: Sequence[CameraStatus]) -> Iterator[Metric]:
 
 
 def _health(facts: Facts) -> Iterator[Metric]:
-    health = assess(facts)
+    health = facts.health
     yield _one_of("ne107_state", "1 for the word of NAMUR NE 107", Ne107, health.ne107)
     yield _gauge("ready", "1: the next stone will be measured", _alone(health.ready))
     checks = [((name,), SEVERITY[check.status]) for name, check in health.checks.items()]
@@ -152,12 +151,11 @@ def _machine(facts: Facts) -> Iterator[Metric]:
     yield _gauge("refinement_rushed_ratio", "Stones left out in a rush", _alone(seen.rushed_share))
     yield _gauge("loop_delay_seconds", "Longest within a minute", _alone(facts.loop_ms / 1e3))
     yield _gauge("disk_free_bytes", "Of the disk of the store", _alone(facts.free_bytes))
-    retention = facts.retention
-    if retention is not None and (use := retention.use) is not None:
+    if (use := facts.retention.use) is not None:
         kinds = {
             "files": use.files_bytes,
             "results": use.results_bytes,
-            "recordings": retention.recordings_bytes,
+            "recordings": facts.retention.recordings_bytes,
         }
         yield _gauge(
             "store_bytes",

@@ -35,7 +35,6 @@ from service.base.errors import ServiceError, StoreError
 from service.calibration.calibrations import Calibrations
 from service.health.alarms.alarm import Alarm, AlarmState
 from service.health.alarms.rules import Priority
-from service.health.assessment import assess
 from service.lots.yardsticks import Request
 from service.store import Store, read
 
@@ -165,8 +164,7 @@ def _document(
     store: Store, control: Control, rows: Rows, rows_seq: int, figures: OverviewFigures | None
 ) -> OverviewDocument:
     facts, calibrations = control.facts(), control.calibrations
-    health = assess(facts)
-    use = None if facts.retention is None else facts.retention.use
+    health, use = facts.health, facts.retention.use
     return OverviewDocument(
         at=utc_now(),
         instance_id=store.instance_id,

@@ -190,6 +190,22 @@ class HealthCheck(Report):
     )
 
 
+Checks = Mapping[str, HealthCheck]
+"""Checks by name: all of the daemon, or those of one part."""
+
+
+def trouble_check(
+    trouble: str | None, observed_value: float | str | None = None, observed_unit: str | None = None
+) -> HealthCheck:
+    """Return a check that warns of a trouble in its own words, and passes without one."""
+    return HealthCheck(
+        status=CheckStatus.of(warn=trouble is not None),
+        observed_value=observed_value,
+        observed_unit=observed_unit,
+        detail=trouble,
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Health:
     """State of the daemon, with the checks that it follows from."""
@@ -199,10 +215,8 @@ class Health:
     """Whether the next stone will be measured."""
     reasons: tuple[str, ...] = ()
     """Why it is not ready, or not `good`."""
-    checks: Mapping[str, HealthCheck]
-    """By name: `camera:c01`, `cameras`, `camera_process`, `gate`, `trigger_line`, `progress`, `loop`, `queue`,
-    `workers`, `background`, `segmentation`, `calibration`, `drops`, `clock`, `store`, `disk`, `disk_days`,
-    `retention`, `backup`, `keys`, `archive`, `recording`, `rig`, `optics`, `refinement`."""
+    checks: Checks
+    """By name, in the order of `alarms.toml`."""
     gate_ne107: Ne107 = Ne107.GOOD
     rig_ne107: Ne107 = Ne107.GOOD
 

@@ -19,7 +19,14 @@ from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
 from pipeline.rig.cameras import RigCalibration
 from service.base.errors import StoreError
-from service.base.status import AcquisitionState, CalibrationFacts
+from service.base.status import (
+    AcquisitionState,
+    CalibrationFacts,
+    Checks,
+    CheckStatus,
+    HealthCheck,
+    trouble_check,
+)
 from service.calibration.collecting import DropCollector
 from service.calibration.details import CalibrationDetails, calibration_details
 from service.calibration.drop_files import ObservedDrop, keep_drop
@@ -114,6 +121,9 @@ class Calibrations:
     def activated(self) -> Activation:
         """Return the activation of the calibration in use."""
         return next(item for item in self.activations if item.id == self.active.id)
+
+    def checks(self) -> Checks:
+        return calibration_checks(self.facts())
 
     def facts(self) -> CalibrationFacts:
         """Return the facts about calibrations that health is assessed from."""
@@ -316,3 +326,13 @@ class Calibrations:
         await asyncio.to_thread(keep_drop, self._files.drops(name), drop, outlines)
         if drop.views:
             self._last_activity_s = time.monotonic()
+
+
+def calibration_checks(facts: CalibrationFacts) -> Checks:
+    """Check that results of the calibration in use are to be trusted, and that what falls is a stone."""
+    calibration = HealthCheck(
+        status=CheckStatus.of(warn=facts.trouble is not None),
+        observed_value=facts.calibration_id,
+        detail=facts.trouble or f"{facts.method}, in use since {facts.used_since}",
+    )
+    return {"calibration": calibration, "drops": trouble_check(facts.at_work)}

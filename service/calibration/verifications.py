@@ -153,6 +153,10 @@ class Verifications:
         self._writing = asyncio.Lock()
         self._last_ball_s = time.monotonic()
 
+    def use(self, parameters: VerificationParameters) -> None:
+        """Judge by other parameters from now on."""
+        self.parameters = parameters
+
     @property
     def current(self) -> Verification | None:
         """Return the verification that waits for balls, None while there is none."""

@@ -5,6 +5,8 @@ import logging
 import time
 
 from service.base.errors import StoreError
+from service.base.status import Checks, trouble_check
+from service.configuration.settings import StoreSettings
 from service.store import Store
 
 log = logging.getLogger(__name__)
@@ -16,20 +18,20 @@ RETRY_S = 300.0
 class BackingUp:
     """Makes backups: `run` is its task."""
 
-    def __init__(self, store: Store, *, every_h: float, keep: int) -> None:
-        """`every_h`: hours between two backups, 0: none; `keep`: how many of the newest are kept."""
+    def __init__(self, store: Store, settings: StoreSettings) -> None:
         self._store = store
-        self._every_s = 3600 * every_h
-        self._keep = keep
+        self._settings = settings
         self._is_changed = asyncio.Event()
         self.trouble: str | None = None
         """Why the last backup failed, None if it did not."""
 
-    def use(self, *, every_h: float, keep: int) -> None:
-        """Apply another interval and number at once."""
-        self._every_s = 3600 * every_h
-        self._keep = keep
+    def use(self, settings: StoreSettings) -> None:
+        """Take another interval and number at once."""
+        self._settings = settings
         self._is_changed.set()
+
+    def checks(self) -> Checks:
+        return {"backup": trouble_check(self.trouble)}
 
     async def run(self) -> None:
         """Make a backup whenever the newest one is too old."""
@@ -44,6 +46,10 @@ class BackingUp:
                 await self._back_up()
                 pause_s = self._every_s if self.trouble is None else min(RETRY_S, self._every_s)
 
+    @property
+    def _every_s(self) -> float:
+        return 3600 * self._settings.backup_every_h
+
     def _due_in_s(self) -> float:
         try:
             newest = self._store.last_backup()
@@ -54,7 +60,7 @@ class BackingUp:
 
     async def _back_up(self) -> None:
         try:
-            path = await self._store.back_up(self._keep)
+            path = await self._store.back_up(self._settings.keep_backups)
         except (StoreError, OSError) as err:
             self.trouble = str(err)
             log.error("%s", err)

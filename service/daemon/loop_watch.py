@@ -4,7 +4,8 @@ import asyncio
 import time
 from collections import deque
 
-from drivers.files.times import EARLIEST
+from drivers.files.times import EARLIEST, is_of_unset_clock, utc_now
+from service.base.status import Checks, HealthCheck, trouble_check
 
 PERIOD_S = 0.02
 WINDOW_S = 60.0
@@ -12,6 +13,8 @@ WINDOW_S = 60.0
 STEP_S = 0.1
 """Move of the wall clock against the monotonic one, within a period, above which it was set and not disciplined."""
 STEP_REMEMBERED_S = 3600.0
+LOOP_MS = 250.0
+"""Delay of the event loop above which frames may be matched late."""
 
 
 class LoopWatch:
@@ -46,9 +49,35 @@ class LoopWatch:
             return None
         return self._step_s
 
+    def checks(self) -> Checks:
+        """Return the checks of the event loop and of the wall clock."""
+        return {
+            "loop": loop_check(self.worst_ms()),
+            "clock": clock_check(self.clock_step_s(), is_unset=is_of_unset_clock(utc_now())),
+        }
+
     def _record(self, now_s: float, delay_s: float) -> None:
         while self._delays and (now_s - self._delays[0][0] > WINDOW_S):
             self._delays.popleft()
         while self._delays and self._delays[-1][1] <= delay_s:  # these can never be the longest again
             self._delays.pop()
         self._delays.append((now_s, delay_s))
+
+
+def loop_check(worst_ms: float) -> HealthCheck:
+    """Check that the event loop was not held up."""
+    problem = f"blocked for {worst_ms:.0f} ms within the last minute: look at the load of the machine"
+    return trouble_check(problem if worst_ms > LOOP_MS else None, round(worst_ms, 1), "ms")
+
+
+def clock_check(step_s: float | None, *, is_unset: bool) -> HealthCheck:
+    """Check that the wall clock is set, and was not set lately."""
+    problem = None
+    if is_unset:
+        problem = (
+            "the wall clock was not set since the host started: give it a time server, or timedatectl set-time;"
+            " until then results are marked time_is_doubtful"
+        )
+    elif step_s is not None:
+        problem = f"the wall clock was set by {step_s:+.1f} s: times of results are in doubt"
+    return trouble_check(problem, step_s, "s")

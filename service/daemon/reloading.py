@@ -13,7 +13,7 @@ from typing import Any
 from drivers.files.times import utc_now
 from service.base.errors import ServiceError, StoreError
 from service.base.redaction import redacted
-from service.base.status import ConfigurationState
+from service.base.status import Checks, ConfigurationState, trouble_check
 from service.configuration.settings import Settings, load_settings, problems
 from service.store import Store
 from service.store.audit import CONFIGURATION, note_alone
@@ -33,6 +33,17 @@ class Configuration:
         """What the daemon works with now."""
         self.state = ConfigurationState(loaded_at=utc_now(), restart_needed_for=(), problem=None)
         self._file = file
+
+    def checks(self) -> Checks:
+        """Check that the daemon works with what the configuration file says."""
+        state, problem = self.state, None
+        if state.problem is not None:
+            problem = (
+                f"the configuration was refused, the one of {state.loaded_at} stays in use: {state.problem}"
+            )
+        elif state.restart_needed_for:
+            problem = f"a restart is needed for {', '.join(state.restart_needed_for)}"
+        return {"configuration": trouble_check(problem)}
 
     async def reload(self, apply: Callable[[Settings, Settings], Awaitable[None]], store: Store) -> None:
         """Read the file, have `apply(old, new)` put the live settings into the parts, and note it in the audit."""

@@ -15,9 +15,11 @@ from pathlib import Path
 from typing import TypeVar, TypeVarTuple
 
 from service.base.errors import StoreError
+from service.base.status import Checks
 from service.recording.live_recording import RecordingState
 from service.recording.recordings import Recordings
 from service.store import Store
+from service.store.checks import retention_checks
 from service.store.disk_use import RetentionFacts, store_use
 from service.store.holds import consumers
 from service.store.particle_files import path_of
@@ -70,6 +72,9 @@ class Retaining:
         """Apply other limits from the next look on."""
         self._limits = limits
         self.facts = replace(self.facts, warn_days=limits.warn_days)
+
+    def checks(self) -> Checks:
+        return retention_checks(self.facts)
 
     async def run(self) -> None:
         """Remove what is due, whenever something is."""

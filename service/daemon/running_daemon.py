@@ -1,18 +1,13 @@
 """The parts of the running daemon, and what the REST interface, the watchdog and `systemctl status` ask of them."""
 
 import logging
-import shutil
 import time
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from prometheus_client import Histogram
 
-from drivers.factory import Devices
-from drivers.files.times import is_of_unset_clock, utc_now
 from drivers.interfaces import CameraVitals
 from pipeline.frames import CameraId, Image
 from service.acquisition.acquisition import Acquisition
@@ -28,17 +23,16 @@ from service.base.status import (
 from service.calibration.calibrations import Calibrations
 from service.configuration.diagnostic_inputs import diagnostic_inputs
 from service.configuration.settings import Settings
-from service.daemon.alarming import Alarming
-from service.daemon.backing_up import BackingUp
-from service.daemon.heartbeats import Heartbeats, Part
+from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import LoopWatch
+from service.daemon.part import Part
 from service.daemon.reloading import Configuration
 from service.daemon.retaining import Retaining
-from service.delivery.file_drop import FileDrop
+from service.daemon.session import Session
 from service.delivery.webhooks import Webhooks
 from service.health.alarms.alarms import Alarms
 from service.health.assessment import assess
-from service.health.device_words import camera_ne107
+from service.health.device_words import camera_ne107, rig_ne107
 from service.health.facts import Facts
 from service.health.optical_watch import OpticalWatch
 from service.health.refinement_watch import RefinementWatch
@@ -46,25 +40,26 @@ from service.health.rig_watch import CameraScore, RigWatch
 from service.health.segmentation_watch import SegmentationWatch
 from service.host.diagnostics.inputs import Inputs
 from service.lots.shifts import LotsSettings
-from service.processing.left_bundles import LeftBundle
 from service.processing.processing import Processing
-from service.processing.quarantine import Quarantine
-from service.processing.segmenters import SegmenterPlan
 from service.processing.spool import Spool
 from service.processing.worker_pool import WorkerPool
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
-from service.store import Store, StoreTrouble
+from service.store.checks import free_bytes
 
 log = logging.getLogger(__name__)
+
+N_LATEST = 100
+"""Outcomes whose delays are remembered one by one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Watches:
-    """The observers of the loop, of the rig's geometry and optics, of segmentation and refinement."""
+    """The observers of loop and progress, of the rig's geometry and optics, of segmentation and refinement."""
 
     loop: LoopWatch
+    progress: Heartbeats
     rig: RigWatch
     optics: OpticalWatch
     segmentation: SegmentationWatch
@@ -73,34 +68,27 @@ class Watches:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Daemon:
-    """The parts of the running daemon; implements `service.api.control.Control`."""
+    """What REST, metrics and the watchdog ask of the parts; implements `service.api.control.Control`."""
 
     configured: Configuration
-    segmentation: SegmenterPlan
-    store: Store
+    session: Session
+    watches: Watches
     keys: KeyRing
-    devices: Devices
-    session: int
-    calibrations: Calibrations
-    folder: Path  # on tmpfs, of this session, for bundles and for the workers' files
-    pool: WorkerPool
-    spool: Spool
-    left: Sequence[LeftBundle]  # by a killed daemon, to be measured yet when this one began
-    quarantine: Quarantine
     recordings: Recordings
-    archive: RawArchive
-    backing_up: BackingUp
-    retaining: Retaining
-    alarming: Alarming
-    webhooks: Webhooks
-    file_drop: FileDrop
+    calibrations: Calibrations
     acquisition: Acquisition
+    spool: Spool
+    archive: RawArchive
+    pool: WorkerPool
     processing: Processing
     remeasuring: Remeasuring
+    retaining: Retaining
+    alarms: Alarms
+    webhooks: Webhooks
     delays: Histogram
     latest_delays_s: deque[float]
-    heartbeats: Heartbeats
-    watches: Watches
+    parts: list[Part] = field(default_factory=list)
+    """In the order in which they start."""
 
     @property
     def settings(self) -> Settings:
@@ -109,10 +97,6 @@ class Daemon:
     @property
     def lots(self) -> LotsSettings:
         return self.settings.lots
-
-    @property
-    def alarms(self) -> Alarms:
-        return self.alarming.alarms
 
     def configuration(self) -> dict[str, Any]:
         return self.settings.model_dump(mode="json")
@@ -131,13 +115,10 @@ class Daemon:
         StoreError
             The store cannot note new endpoints; nothing is changed.
         """
-        if new.webhooks != old.webhooks:
+        if new.webhooks != old.webhooks:  # first, as no other part can refuse
             await self.webhooks.use(new.webhooks)
-        self.watches.optics.limits = new.optics
-        self.calibrations.verifications.parameters = new.verification
-        self.retaining.use(new.store.retention)
-        self.backing_up.use(every_h=new.store.backup_every_h, keep=new.store.keep_backups)
-        self.keys.use(new.api.keys)
+        for part in self.parts:
+            part.use(new)
 
     def acquisition_status(self) -> AcquisitionStatus:
         return self.acquisition.status()
@@ -170,75 +151,43 @@ class Daemon:
         return self.acquisition.cameras.latest_image(camera)
 
     def health(self) -> Health:
-        return assess(self.facts())
+        return assess(
+            (part.checks() for part in self.parts),
+            acquisition=self.acquisition.status(),
+            views=self.settings.views,
+            rig_ne107=rig_ne107(
+                self.watches.rig.suspicions(), self.watches.optics.findings(), self.calibrations.facts()
+            ),
+        )
 
     def facts(self) -> Facts:
-        self.keys.refresh()
         return Facts(
+            health=self.health(),
             acquisition=self.acquisition.status(),
-            blind_triggers=self.acquisition.cameras.blind_triggers,
             cameras=self.cameras(),
-            camera_process=self.devices.camera_process(),
-            common_cause=self.acquisition.cameras.common_cause,
-            views=self.settings.views,
+            calibration=self.calibrations.facts(),
             waiting=self.spool.n_queued,
-            without_outcome=self.spool.n_waiting,
             max_waiting=self.spool.max_bundles,
-            spool_trouble=self.spool.trouble,
             workers=len(self.pool.pids),
             slots=self.pool.size,
             worker_restarts=self.pool.restarts,
-            worker_trouble=self.pool.trouble,
-            quarantined=self.quarantine.bundles(),
-            loop_ms=self.watches.loop.worst_ms(),
-            clock_step_s=self.watches.loop.clock_step_s(),
-            clock_is_unset=is_of_unset_clock(utc_now()),
-            late=self.late(),
-            has_background=self.processing.has_background,
-            has_network=self.segmentation.model is not None,
-            segmentation_warning=self.watches.segmentation.warning,
-            calibration=self.calibrations.facts(),
-            last_seq=self.store.last_seq,
-            store_trouble=_text(self.store.trouble),
-            store_incidents=self.store.incidents,
-            backup_trouble=self.backing_up.trouble,
-            key_trouble=self.keys.trouble,
-            retention=self.retaining.facts,
-            free_bytes=_free_bytes(self.settings.store.dir),
-            recording_trouble=self.recordings.trouble,
             left_out=self.archive.left_out,
-            archive_trouble=self.archive.trouble,
-            webhook_troubles=self.webhooks.troubles,
-            file_drop_trouble=self.file_drop.trouble,
-            configuration=self.configured.state,
-            suspicions=self.watches.rig.suspicions(),
-            optical_findings=self.watches.optics.findings(),
             refinement=self.watches.refinement.trend,
+            loop_ms=self.watches.loop.worst_ms(),
+            free_bytes=free_bytes(self.session.store.dir),
+            retention=self.retaining.facts,
         )
 
-    def late(self) -> list[Part]:
-        """Return the parts that have something to do and make no progress."""
-        return self.heartbeats.late(time.monotonic())
-
-    def watch(self) -> list[Part]:
+    def watch(self) -> list[Watched]:
         """Record that idle parts are not late, and return those that are; to be called often."""
         if not self.acquisition.is_active:
-            self.heartbeats.beat(Part.ACQUISITION, time.monotonic())
-        if self.spool.n_queued == 0 or self.store.trouble is not None:  # which is named by its own check
-            self.heartbeats.beat(Part.PROCESSING, time.monotonic())
-        return self.late()
+            self.watches.progress.beat(Watched.ACQUISITION, time.monotonic())
+        # a store that is held is named by its own check
+        if self.spool.n_queued == 0 or self.session.store.trouble is not None:
+            self.watches.progress.beat(Watched.PROCESSING, time.monotonic())
+        return self.watches.progress.late(time.monotonic())
 
     def status(self) -> str:
         """Return one line for `systemctl status`."""
-        return f"{self.acquisition.state}, {self.spool.n_queued} bundles waiting, last result {self.store.last_seq}"
-
-
-def _text(trouble: StoreTrouble | None) -> str | None:
-    return None if trouble is None else str(trouble)
-
-
-def _free_bytes(folder: Path) -> int | None:
-    try:
-        return shutil.disk_usage(folder).free
-    except OSError:
-        return None
+        last_seq = self.session.store.last_seq
+        return f"{self.acquisition.state}, {self.spool.n_queued} bundles waiting, last result {last_seq}"

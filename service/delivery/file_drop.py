@@ -16,6 +16,7 @@ from pathlib import Path
 from drivers.files.durable import remove_unfinished, write_file
 from drivers.files.times import utc_now
 from service.base.errors import ServiceError, StoreError
+from service.base.status import Checks, trouble_check
 from service.delivery.abandonable import start_abandonable
 from service.delivery.settings import DropFormat, FileDropSettings
 from service.store import Store
@@ -75,6 +76,9 @@ class FileDrop:
         self._answer_s = answer_s
         self._is_first = True
         self.trouble: str | None = None
+
+    def checks(self) -> Checks:
+        return {"file_drop": trouble_check(self.trouble)}
 
     async def run(self, make_files: MakeFiles) -> None:
         """Write what is due whenever something is, until waiting in the store is ended."""

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 
 from pipeline.frames import rfc3339
 from service.base.errors import ServiceError, StoreError
+from service.base.status import Checks, trouble_check
 from service.delivery import table
 from service.delivery.message import Message, message_of, trial_message
 from service.delivery.posting import post
@@ -103,6 +104,10 @@ class Webhooks:
             for name, told in self._told.items()
             if told.progress is not None and (trouble := _trouble(told.progress, self._now())) is not None
         ]
+
+    def checks(self) -> Checks:
+        troubles = self.troubles
+        return {"webhooks": trouble_check("; ".join(troubles) or None, len(troubles), "disabled")}
 
     async def run(self) -> None:
         """Post events to all endpoints until waiting in the store is ended."""

@@ -17,7 +17,7 @@ from typing import Any
 
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
-from service.base.status import CameraOptics
+from service.base.status import CameraOptics, Checks, HealthCheck, trouble_check
 from service.health.dark_panels import DarkPlace, ViewLight, dark_places
 
 WINDOW = 20
@@ -141,8 +141,15 @@ class OpticalWatch:
 
     def __init__(self, rig: RigCalibration, limits: OpticalParameters) -> None:
         self._rig = rig  # the configured one, for any calibration has the same neighbours
-        self.limits = limits
+        self._limits = limits
         self._cameras = {camera.id: _Camera() for camera in rig.cameras}
+
+    def use(self, limits: OpticalParameters) -> None:
+        """Take other limits from the next exposure on."""
+        self._limits = limits
+
+    def checks(self) -> Checks:
+        return {"optics": optics_check(self.findings(), len(self._cameras))}
 
     def feed(self, record: Mapping[str, Any]) -> None:
         """Take one result into account."""
@@ -152,7 +159,7 @@ class OpticalWatch:
         """Take the optics of one exposure into account, as `service.results.record.optics_record` writes them."""
         for name, camera in self._cameras.items():
             if name in optics:
-                camera.add(optics[name], self.limits)
+                camera.add(optics[name], self._limits)
 
     def optics(self) -> dict[CameraId, CameraOptics]:
         """Return the optics of every camera of the rig."""
@@ -256,3 +263,13 @@ def _describe_place(place: DarkPlace) -> str:
         f"the wall is {place.loss:.0%} darker about azimuth {place.azimuth_deg:.0f},"
         f" elevation {place.elevation_deg:+.0f} degrees: look at the light panel there"
     )
+
+
+def optics_check(findings: Sequence[OpticalFinding], n_cameras: int) -> HealthCheck:
+    """Check how well the cameras see: windows, lenses and light."""
+    concerned = {camera for finding in findings for camera in finding.cameras}
+    trouble = "; ".join(
+        f"{', '.join(finding.cameras) if 2 * len(finding.cameras) <= n_cameras else 'all'}: {finding.detail}"
+        for finding in findings
+    )
+    return trouble_check(trouble or None, n_cameras - len(concerned), "cameras")

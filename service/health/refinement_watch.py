@@ -12,6 +12,7 @@ from statistics import median
 from typing import Any
 
 from pipeline.frames import BundleKind
+from service.base.status import Checks, trouble_check
 from service.results.refinement import RUSH
 
 WINDOW = 100
@@ -75,6 +76,12 @@ class RefinementWatch:
             self._first.append(share)
         if len(self._latest) == WINDOW:
             self.trend = self._judged(self.trend)
+
+    def checks(self) -> Checks:
+        """Check whether there is time to look for dents, and whether pixels show as much as they did."""
+        share = self.trend.supported_share
+        shown = None if share is None else round(share, 3)
+        return {"refinement": trouble_check(self.trend.warning, shown, "share")}
 
     def _judged(self, before: RefinementTrend) -> RefinementTrend:
         looked_at = [share for share in self._latest if share is not None]

@@ -9,7 +9,7 @@ came before, hence not on the number of workers. Only the alarm is kept here.
 """
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
@@ -20,6 +20,7 @@ from pipeline.fall import Fall
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.views.epipolar_tangency import ALARM_PX
+from service.base.status import Checks, HealthCheck, trouble_check
 
 WINDOW = 20
 """Latest stones over which medians are taken."""
@@ -154,6 +155,9 @@ class RigWatch:
             for name, camera in self._cameras.items()
         }
 
+    def checks(self) -> Checks:
+        return {"rig": rig_check(self.suspicions(), self.scores().values())}
+
     def suspicions(self) -> tuple[Suspicion, ...]:
         """Return the cameras that contradict their calibration, worst first, for operators."""
         displaced = [
@@ -230,3 +234,11 @@ def _common_suspicion(displaced: Sequence[Suspicion], n_cameras: int) -> Suspici
         detail=f"{len(displaced)} of {n_cameras} cameras contradict one another, by {score_px:.1f} px: look at light"
         " and focus, then recalibrate with the ball",
     )
+
+
+def rig_check(suspicions: Sequence[Suspicion], scores: Iterable[CameraScore]) -> HealthCheck:
+    """Check whether cameras still are where their calibration says, by the outlines of the stones."""
+    scores_px = [score.tangency_px for score in scores if score.tangency_px is not None]
+    scores_px += [suspicion.score_px for suspicion in suspicions]
+    trouble = "; ".join(f"{suspicion.camera or 'all'}: {suspicion.detail}" for suspicion in suspicions)
+    return trouble_check(trouble or None, round(max(scores_px), 2) if scores_px else None, "px")

@@ -6,6 +6,7 @@ the CPU or without the network, and health warns.
 
 from collections import deque
 
+from service.base.status import Checks, trouble_check
 from service.processing.measure_job import NetworkUse
 from service.processing.segmenters import SegmenterPlan
 
@@ -24,6 +25,16 @@ class SegmentationWatch:
         """Take one measured bundle into account, unless it was measured without the network."""
         if use.trouble is not None or use.is_source:
             self._troubles.append(use.trouble)
+
+    def checks(self, *, has_background: bool) -> Checks:
+        """Check what outlines are found with: the background, which a network does without, and the network."""
+        problem = "the empty rig was not exposed yet: let no stone fall for a moment"
+        if self._plan.model is not None:
+            problem += "; until then the network alone finds them"
+        return {
+            "background": trouble_check(None if has_background else problem, has_background),
+            "segmentation": trouble_check(self.warning),
+        }
 
     @property
     def warning(self) -> str | None:

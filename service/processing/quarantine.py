@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 from drivers.files.durable import replacing
+from service.base.status import Checks, trouble_check
 
 log = logging.getLogger(__name__)
 
@@ -36,3 +37,8 @@ class Quarantine:
     def bundles(self) -> list[str]:
         """Return the names of the files, `<session>-<bundle>.tiff`, that are there now."""
         return sorted(path.name for path in self.folder.glob("*.tiff"))
+
+    def checks(self) -> Checks:
+        bundles = self.bundles()
+        trouble = f"no worker survived {', '.join(bundles)}" if bundles else None
+        return {"quarantine": trouble_check(trouble, len(bundles), "bundles")}

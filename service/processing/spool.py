@@ -19,6 +19,7 @@ from typing import Protocol
 
 from drivers.files.bundle_file import overwrite_bundle
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
+from service.base.status import Checks, CheckStatus, HealthCheck
 from service.bundling.window import MissingReason
 from service.processing.bundle_files import BundleFiles
 from service.processing.left_bundles import LeftBundle, remove_backgrounds
@@ -106,6 +107,20 @@ class Spool:
     def n_waiting(self) -> int:
         """Bundles and losses that have no outcome yet."""
         return self.n_queued + self._n_losses + sum(each.trigger.n_stones for each in self._counted.values())
+
+    def checks(self) -> Checks:
+        """Check that there is room for the next bundles, and that none was lost lately."""
+        trouble, waiting = self.trouble, f"{self.n_queued} of {self.max_bundles} waiting"
+        is_filling = 2 * self.n_queued > self.max_bundles
+        check = HealthCheck(
+            status=CheckStatus.of(
+                warn=is_filling or trouble is not None, fail=self.n_queued >= self.max_bundles
+            ),
+            observed_value=self.n_queued,
+            observed_unit="bundles",
+            detail=waiting if trouble is None else f"{waiting}; within the last minute: {trouble}",
+        )
+        return {"queue": check}
 
     def offer(self, bundle: FrameBundle) -> None:
         """Add a bundle, or its loss if it has no frames or the spool is full; never blocks."""

@@ -22,6 +22,7 @@ from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 
 from service.base.errors import ServiceError, WorkerFailure
+from service.base.status import Checks, CheckStatus, HealthCheck
 from service.processing.fork_server import ensure_fork_server
 from service.processing.job_pool import Job, Result
 from service.processing.process_memory import freeze_gc
@@ -114,6 +115,9 @@ class WorkerPool:
     @property
     def pids(self) -> list[int]:
         return [slot.pid for slot in self._slots if slot.pid is not None]
+
+    def checks(self) -> Checks:
+        return {"workers": workers_check(len(self.pids), self.size, self.restarts, self.trouble)}
 
     async def start(self) -> None:
         """Return when every worker is warm.
@@ -338,3 +342,14 @@ class _Slot:
 def _last_line(traceback: str) -> str:
     """Return type and message of the exception, without the folders of paths because clients can read it."""
     return re.sub(r"(?<![\w.])/\S*/", "", traceback.strip().rpartition("\n")[2])
+
+
+def workers_check(n_up: int, n_slots: int, restarts: int, trouble: str | None) -> HealthCheck:
+    """Check that all processes run, and that none failed lately."""
+    return HealthCheck(
+        status=CheckStatus.of(warn=n_up < n_slots or trouble is not None, fail=n_up == 0),
+        observed_value=n_up,
+        observed_unit="processes",
+        detail=f"{n_up} of {n_slots} up, {restarts} restarts"
+        + (f"; within the last minute: {trouble}" if trouble else ""),
+    )

@@ -21,6 +21,7 @@ from drivers.files.bundle_file import Compression, read_bundle, read_header, wri
 from drivers.files.durable import copy_past_cache, replacing, sync
 from pipeline.frames import CameraId, FrameBundle
 from service.base.errors import StoreError
+from service.base.status import Checks, trouble_check
 from service.processing.worker_pool import JobLostError, WorkerPool
 from service.processing.worker_process import WarmUp, worker_boundary
 
@@ -133,6 +134,9 @@ class RawArchive:
         if time.monotonic() - self._last_left_out_s > RECENT_S:
             return None
         return f"frames of {self.left_out} stones were not kept since the start: {self._last_reason}"
+
+    def checks(self) -> Checks:
+        return {"archive": trouble_check(self.trouble, self.left_out, "left out")}
 
     def take(self, path: Path, seq: int) -> bool:
         """Take over the file of a result's bundle; return False if too many are waiting."""

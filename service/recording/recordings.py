@@ -22,6 +22,7 @@ from pipeline.frames import BundleKind, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.base.errors import ServiceError
 from service.base.schema import REQUEST
+from service.base.status import Checks, trouble_check
 from service.recording.kept_recordings import (
     NAME,
     recording_in,
@@ -159,6 +160,9 @@ class Recordings:
         if self._last is None or not self._last.is_cut_short:
             return None
         return f"recording {self._last.name}: {self._last.reason or self._last.ended_by}"
+
+    def checks(self) -> Checks:
+        return {"recording": trouble_check(self.trouble)}
 
     def use_rig(self, rig: RigCalibration) -> None:
         """Write this calibration into the rig files of later recordings."""

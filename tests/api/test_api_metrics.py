@@ -8,7 +8,7 @@ import httpx
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from support.outcomes import add, measured, rejected, trigger
-from support.rest import FakeControl, app_of, client_of
+from support.rest import SICK_HEALTH, FakeControl, app_of, client_of
 
 from service.api.metrics import DELAYS_S, Snapshot, metrics_text
 from service.api.settings import ApiSettings
@@ -101,6 +101,7 @@ async def test_counts_go_on_from_the_last_time_and_forget_nothing_that_was_remov
 
 
 async def test_what_health_says_is_there_with_labels(client: httpx.AsyncClient, control: FakeControl) -> None:
+    control.condition = SICK_HEALTH
     control.delays.observe(0.41)
     control.delays.observe(7.0)
     found = await scraped(client)
@@ -111,9 +112,9 @@ async def test_what_health_says_is_there_with_labels(client: httpx.AsyncClient, 
     assert "stonefall_camera_temperature_celsius" not in found  # it reports none
     assert found["stonefall_acquisition_state"]["disarmed",] == 1
     assert sum(found["stonefall_ne107_state"].values()) == 1
-    assert found["stonefall_ne107_state"]["failure",] == 1  # three cameras are too few
+    assert found["stonefall_ne107_state"]["failure",] == 1
     assert found["stonefall_ready"] == {(): 0}
-    assert found["stonefall_health_check"]["disk",] == 0
+    assert found["stonefall_health_check"] == {("camera:c02",): 2}
     assert found["stonefall_refinement_supported_ratio"] == {(): 0.8}
     assert found["stonefall_refinement_rushed_ratio"] == {(): 0.25}
     assert found["stonefall_verification_state"]["never",] == 1

@@ -23,7 +23,6 @@ from service.api.settings import Scope
 from service.base.errors import StoreError
 from service.base.status import AcquisitionState, CheckStatus, HealthCheck
 from service.health.alarms.alarms import Alarms
-from service.health.assessment import assess
 from service.lots.lots import LotDefinition, close_lot, open_lot
 from service.lots.products import ProductDefinition, save_product
 from service.store import Store
@@ -109,7 +108,7 @@ async def test_it_says_what_the_other_resources_say(
     assert found["accounting"]["triggers"] == 4
     assert found["today"] == {**dict.fromkeys(found["today"], 0), "in_progress": 0}  # these fell in March
     assert found["stones_per_min"] == 4  # though they fell in March: so do the stones of a replay
-    health = assess(control.facts())
+    health = control.condition
     for name in ("ne107", "gate_ne107", "rig_ne107", "ready"):
         assert found[name] == getattr(health, name)
     assert found["reasons"] == list(health.reasons)

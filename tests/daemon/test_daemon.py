@@ -20,6 +20,7 @@ from drivers.files.rig_file import read_rig
 from pipeline.carving import CarvingParameters
 from pipeline.frames import BundleKind
 from pipeline.particle import BodyParameters, PipelineParameters
+from service.health.alarms.rules import load_rules
 from service.processing.measure_job import (
     COMPACT_MESH,
     LearnJob,
@@ -123,6 +124,8 @@ def test_a_recording_runs_through_and_sigterm_ends_it(
         assert (accounting["measured"], accounting["backgrounds"]) == (N_STONES, 2)
         health = daemon.get("/health")
         assert health["ready"] is False
+        kinds = dict.fromkeys(name.partition(":")[0] for name in health["checks"])
+        assert tuple(kinds) == load_rules().checks  # every part is there that has one of these
         # a busy machine holds up the loop, which is told as well
         reasons = [reason for reason in health["reasons"] if not reason.startswith("loop: held up")]
         assert reasons == ["acquisition: disarmed"]

@@ -13,10 +13,12 @@ from support.recordings import make_bundle, write_recording
 
 from drivers.factory import Devices, ReplayBackend, build_devices
 from drivers.interfaces import EventSink
+from service.api.reader_process import ReaderProcess
 from service.configuration.rig_settings import ReplayRigSettings
 from service.configuration.settings import Settings, SpoolSettings, StoreSettings, WorkersSettings
-from service.daemon import build, run
+from service.daemon import build, parts, run, session
 from service.daemon.reloading import Configuration
+from service.daemon.stopping import StopRequests
 from service.daemon.systemd import ServiceManager
 from service.store import open_store
 
@@ -79,8 +81,8 @@ async def test_a_rig_that_hangs_while_arming_does_not_keep_the_daemon(
     def hanging(backend: ReplayBackend) -> Devices:
         return replace(build_devices(backend), gate=gate)
 
-    monkeypatch.setattr(build, "build_devices", hanging)
-    monkeypatch.setattr(run, "DISARM_S", disarm_s)
+    monkeypatch.setattr(session, "build_devices", hanging)
+    monkeypatch.setattr(parts, "DISARM_S", disarm_s)
     monkeypatch.setattr(build, "ACQUISITION_SILENCE_S", 0.1)
     manager = ListeningManager(watchdog_s=0.15)
     try:
@@ -95,12 +97,14 @@ async def test_a_rig_that_hangs_while_arming_does_not_keep_the_daemon(
 
 async def test_only_who_looks_after_the_parts_calls_an_idle_one_alive(settings: Settings):
     store = await asyncio.to_thread(open_store, settings.store.dir)
-    built = await build.build(Configuration(settings, Path("stonefall.toml")), store)
+    configured = Configuration(settings, Path("stonefall.toml"))
+    built = await build.build(configured, store, ReaderProcess(), StopRequests())
+    progress = built.watches.progress
     for part in ("acquisition", "processing"):
-        built.heartbeats.beat(part, time.monotonic() - 1000)
-    assert built.late() == built.late() == ["acquisition", "processing"]
+        progress.beat(part, time.monotonic() - 1000)
+    assert progress.late(time.monotonic()) == progress.late(time.monotonic()) == ["acquisition", "processing"]
     built.acquisition.is_active = True  # whatever its state is
     assert built.watch() == ["acquisition"]
     built.acquisition.is_active = False
-    assert built.watch() == built.late() == []
+    assert built.watch() == progress.late(time.monotonic()) == []
     await asyncio.to_thread(store.close)

@@ -21,7 +21,6 @@ from drivers.files.recording import write_bundle
 from drivers.files.silhouette_file import write_silhouettes
 from drivers.interfaces import CameraVitals
 from pipeline.frames import CameraId, Frame, FrameBundle, Image
-from pipeline.views.quality import ViewsParameters
 from service.api import app
 from service.api.key_ring import KeyRing
 from service.api.metrics import result_delays
@@ -51,6 +50,7 @@ from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
 from service.store import Store
+from service.store.disk_use import RetentionFacts
 
 T = TypeVar("T")
 
@@ -122,23 +122,20 @@ class FakeControl:
     def facts(self) -> Facts:
         assert self.calibrations is not None
         return Facts(
+            health=self.condition,
             acquisition=self.acquisition_status(),
-            blind_triggers=0,
             cameras=self.cameras(),
-            views=ViewsParameters(),
+            calibration=self.calibrations.facts(),
             waiting=3,
             max_waiting=16,
             workers=2,
             slots=2,
             worker_restarts=1,
-            late=(),
-            loop_ms=1.5,
-            clock_step_s=None,
-            has_background=True,
-            calibration=self.calibrations.facts(),
+            left_out=0,
             refinement=RefinementTrend(supported_share=0.8, rushed_share=0.25),
-            last_seq=0,
+            loop_ms=1.5,
             free_bytes=10**10,
+            retention=RetentionFacts(warn_days=7.0),
         )
 
     def cameras(self) -> list[CameraStatus]:

@@ -53,10 +53,11 @@ class Rule:
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """The rules by check, and the reasons why other checks are no alarms."""
+    """The rules by check, the reasons why other checks are no alarms, and all checks in the order of health."""
 
     by_check: Mapping[str, Rule]
     no_alarm: Mapping[str, str]
+    checks: tuple[str, ...] = ()
 
     def of(self, check: str) -> Rule | None:
         """Return the rule of a check, None if it is no alarm."""
@@ -69,5 +70,6 @@ def load_rules() -> Rules:
     document = tomllib.loads(
         files("service.health.alarms").joinpath("alarms.toml").read_text(encoding="utf-8")
     )
-    no_alarm = document.pop("no_alarm")
-    return Rules(TypeAdapter(dict[str, Rule]).validate_python(document), no_alarm)
+    no_alarm = {check: rule["no_alarm"] for check, rule in document.items() if "no_alarm" in rule}
+    rules = {check: rule for check, rule in document.items() if check not in no_alarm}
+    return Rules(TypeAdapter(dict[str, Rule]).validate_python(rules), no_alarm, tuple(document))

@@ -8,6 +8,7 @@ from support.configurations import KEY, REPLAY
 from support.recordings import make_bundle, write_recording
 
 from service.base.errors import StoreError
+from service.base.status import trouble_check
 from service.configuration.settings import Settings, load_settings
 from service.daemon.reloading import Configuration, differences, with_live
 from service.store import Store
@@ -56,6 +57,9 @@ async def test_what_can_be_applied_is_and_the_rest_is_named(file: Path, store: S
     assert (configuration.settings.workers.slots, configuration.settings.store.keep_raw) == (2, 200)
     assert configuration.state.restart_needed_for == ("store.keep_raw", "workers.slots")
     assert configuration.state.problem is None
+    assert configuration.checks() == {
+        "configuration": trouble_check("a restart is needed for store.keep_raw, workers.slots")
+    }
     (entry,) = await store.read(entries, None, 0, 10)
     assert (entry.who, entry.action, entry.subject) == ("SIGHUP", "configuration", str(file))
     assert entry.before is not None and entry.after is not None
@@ -81,6 +85,12 @@ async def test_a_bad_file_changes_nothing_and_is_told(
     assert applied.now is None
     assert configuration.settings == before
     assert named in str(configuration.state.problem)
+    check = configuration.checks()["configuration"]
+    assert (check.status, check.detail) == (
+        "warn",
+        f"the configuration was refused, the one of {configuration.state.loaded_at} stays in use:"
+        f" {configuration.state.problem}",
+    )
     await reload(configuration, file, REPLAY + "[optics]\ndust = 0.2\n", store, applied)  # mended
     assert configuration.state.problem is None
     assert configuration.settings.optics.dust == 0.2

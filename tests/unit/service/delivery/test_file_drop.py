@@ -15,6 +15,7 @@ from support.outcomes import add, measured, trigger
 
 from service.api.lot_reports import FilesFailedError, ReportRequest, lot_files
 from service.base.language import Language
+from service.base.status import trouble_check
 from service.delivery.file_drop import ANSWER_S, FileDrop, LotFiles, due_lots, open_file_drop
 from service.delivery.settings import DropFormat, FileDropSettings
 from service.health.alarms.rules import load_rules
@@ -202,7 +203,7 @@ async def test_a_folder_that_takes_nothing_is_told_and_made_up_for(
     async with dropping(drop, Files(store)):
         await closed(store, session, "L1")
         await soon(lambda: drop.trouble is not None)
-        assert drop.trouble == f"{folder}: {words}"
+        assert drop.checks() == {"file_drop": trouble_check(f"{folder}: {words}")}
         assert await store.results_after(0, 1)  # nothing else is held up
         present(folder)
         await until_there(folder, "L1-1.csv")

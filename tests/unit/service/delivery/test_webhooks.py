@@ -144,6 +144,9 @@ async def test_after_a_day_of_failures_it_is_disabled_until_somebody_enables_it(
             assert webhooks.troubles == [
                 "mes: disabled since 2026-03-02T00:00:00.000Z: HTTP 500 Internal Server Error"
             ]
+            check = webhooks.checks()["webhooks"]
+            assert (check.status, check.observed_value, check.observed_unit) == ("warn", 1, "disabled")
+            assert check.detail == webhooks.troubles[0]
             assert sum(clock.pauses_s) == 86_400
             await happen(store, EventType.LOT_OPENED)
             status = await webhooks.status("mes")
@@ -155,6 +158,7 @@ async def test_after_a_day_of_failures_it_is_disabled_until_somebody_enables_it(
             await again.enable("mes", "somebody")
             await until_told(again, 3)
             assert again.troubles == []
+            assert again.checks()["webhooks"].status == "pass"
     assert [each.document["data"]["seq"] for each in receiver.requests[8:]] == [None, 1, 2, 3]
     assert receiver.requests[8].document["type"] == "webhook.test"
     assert receiver.ids[9] == receiver.ids[0]

@@ -1,5 +1,6 @@
 """Whether the network runs as it should, told from what workers say of each bundle."""
 
+from service.base.status import trouble_check
 from service.health.segmentation_watch import WINDOW, SegmentationWatch
 from service.processing.measure_job import NetworkUse
 from service.processing.segmenters import SegmenterPlan
@@ -40,4 +41,5 @@ def test_a_network_that_cannot_be_run_is_told_though_the_background_took_its_pla
 def test_what_was_known_from_the_start_stays() -> None:
     watch = SegmentationWatch(SegmenterPlan(wanted="auto", trouble="roi.onnx: is damaged"))
     watch.feed(RUNS)
-    assert watch.warning == "classical mode: roi.onnx: is damaged"
+    check = watch.checks(has_background=True)["segmentation"]
+    assert check == trouble_check("classical mode: roi.onnx: is damaged")

@@ -8,6 +8,7 @@ import tifffile
 from support.recordings import CAMERAS, assert_same_bundle, make_bundle
 
 from drivers.files.bundle_file import Compression, overwrite_bundle, read_bundle
+from service.base.status import trouble_check
 from service.recording import raw_archive
 from service.recording.raw_archive import KeepJob, RawArchive, keep_frames
 
@@ -133,4 +134,5 @@ def test_what_comes_too_fast_is_left_out_and_told(tmp_path: Path, caplog: pytest
     assert not archive.take(tmp_path / "10", 10)
     assert archive.trouble is not None
     assert archive.trouble.startswith("frames of 2 stones were not kept")
+    assert archive.checks() == {"archive": trouble_check(archive.trouble, 2, "left out")}
     assert caplog.text.count("frames not kept: stones come faster than frames are written seq=9") == 1

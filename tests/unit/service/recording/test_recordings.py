@@ -8,6 +8,7 @@ from support.recordings import CAMERAS, SOURCE, make_bundle
 
 from drivers.files.recording import open_recording
 from pipeline.frames import BundleKind
+from service.base.status import trouble_check
 from service.recording.live_recording import RecordingState
 from service.recording.recordings import (
     KEPT_BACKGROUNDS,
@@ -103,7 +104,9 @@ async def test_failures_are_told_until_the_next_recording(tmp_path: Path):
     stopped = await recordings.stop("r1")
     assert stopped is not None
     assert stopped.state is RecordingState.FAILED
-    assert recordings.trouble == "recording r1: nothing was recorded, it ended by stop"
+    assert recordings.checks() == {
+        "recording": trouble_check("recording r1: nothing was recorded, it ended by stop")
+    }
     assert await recordings.all() == [stopped]
     await recordings.start(RecordingRequest(name="r1", count=1))  # a name that holds nothing is free
     assert recordings.trouble is None

@@ -23,7 +23,9 @@ from support.stores import folder_of
 from typer.testing import CliRunner
 
 from service.base.errors import StoreError
+from service.base.status import trouble_check
 from service.commands.cli import build_app
+from service.configuration.settings import StoreSettings
 from service.daemon.backing_up import BackingUp
 from service.store import Store, backups, history, open_store
 from service.store.backups import back_up, restore
@@ -195,13 +197,17 @@ class BackupsOfTest:
         return Path("backup")
 
 
+def every(hours: float) -> StoreSettings:
+    return StoreSettings(dir=Path("state"), backup_every_h=hours)
+
+
 async def test_backups_are_made_by_themselves_and_a_failure_is_told() -> None:
     store: Any = BackupsOfTest()
-    backing_up = BackingUp(store, every_h=1e-6, keep=4)
+    backing_up = BackingUp(store, every(1e-6))
     task = asyncio.create_task(backing_up.run())
     while backing_up.trouble is None:  # noqa: ASYNC110 - it is no event
         await asyncio.sleep(0)
-    assert backing_up.trouble == "no room"
+    assert backing_up.checks() == {"backup": trouble_check("no room")}
     await asyncio.wait_for(store.made.wait(), PATIENCE_S)
     while backing_up.trouble is not None:  # noqa: ASYNC110 - as above
         await asyncio.sleep(0)
@@ -210,19 +216,19 @@ async def test_backups_are_made_by_themselves_and_a_failure_is_told() -> None:
 
 async def test_without_an_interval_none_is_made_until_there_is_one() -> None:
     store: Any = BackupsOfTest()
-    backing_up = BackingUp(store, every_h=0, keep=4)
+    backing_up = BackingUp(store, every(0))
     task = asyncio.create_task(backing_up.run())
     await asyncio.sleep(0.05)
     assert store.n_made == 0
-    backing_up.use(every_h=1e-6, keep=4)
+    backing_up.use(every(1e-6))
     await asyncio.wait_for(store.made.wait(), PATIENCE_S)
     task.cancel()
 
 
 async def test_an_hour_after_the_newest_backup_the_next_is_due(store: Store) -> None:
-    assert BackingUp(store, every_h=1, keep=4)._due_in_s() == 0
+    assert BackingUp(store, every(1))._due_in_s() == 0
     await store.back_up(keep=4)
-    assert 3000 < BackingUp(store, every_h=1, keep=4)._due_in_s() <= 3600
+    assert 3000 < BackingUp(store, every(1))._due_in_s() <= 3600
 
 
 def test_the_commands_back_up_and_restore(tmp_path: Path) -> None:

@@ -1,0 +1,69 @@
+"""Health of the rig's devices: each camera, all of them, the light gate, and the lines between."""
+
+from collections.abc import Sequence
+
+from drivers.interfaces import CameraProcessStatus, ProcessState
+from service.base.status import (
+    AcquisitionStatus,
+    CameraStatus,
+    Checks,
+    CheckStatus,
+    DeviceState,
+    HealthCheck,
+)
+
+BLIND_TRIGGERS = 3
+"""Triggers in a row without any image from which the line between gate and cameras is taken to be broken."""
+
+
+def rig_checks(
+    rig: AcquisitionStatus,
+    cameras: Sequence[CameraStatus],
+    *,
+    common_cause: str | None,
+    process: CameraProcessStatus,
+    blind_triggers: int,
+) -> Checks:
+    """Return the checks of all devices; `common_cause` says why all cameras are lost."""
+    of_cameras = {
+        f"camera:{camera.id}": _device(camera.state, camera.last_error, camera.warnings) for camera in cameras
+    }
+    return of_cameras | {
+        "cameras": HealthCheck(
+            status=CheckStatus.of(fail=common_cause is not None),
+            observed_value=sum(camera.state is not DeviceState.LOST for camera in cameras),
+            observed_unit="cameras",
+            detail=common_cause,
+        ),
+        "camera_process": HealthCheck(
+            status=CheckStatus.of(
+                warn=process.state is ProcessState.REPLACED, fail=process.state is ProcessState.SILENT
+            ),
+            observed_value=process.replaced,
+            observed_unit="replaced",
+            detail=process.trouble,
+        ),
+        "gate": _device(rig.gate, rig.gate_error, rig.gate_warnings),
+        "trigger_line": _trigger_line(blind_triggers, process.state),
+    }
+
+
+def _device(state: DeviceState, error: str | None, warnings: Sequence[str]) -> HealthCheck:
+    is_lost = state is DeviceState.LOST
+    return HealthCheck(
+        status=CheckStatus.of(warn=bool(warnings), fail=is_lost),
+        observed_value=state,
+        detail=error if is_lost else "; ".join(warnings) or None,
+    )
+
+
+def _trigger_line(n_blind: int, process: ProcessState) -> HealthCheck:
+    """Check that triggers have images; while the process of the cameras is silent, that is the reason for none."""
+    is_broken = n_blind >= BLIND_TRIGGERS and process is not ProcessState.SILENT
+    problem = f"{n_blind} triggers in a row without any image: look at the line from gate to cameras"
+    return HealthCheck(
+        status=CheckStatus.of(fail=is_broken),
+        observed_value=n_blind,
+        observed_unit="triggers",
+        detail=problem if is_broken else None,
+    )
