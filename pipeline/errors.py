@@ -83,7 +83,7 @@ class ProblemCode(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Problem:
+class CalibrationProblem:
     """One finding about a calibration; a fatal one forbids its use."""
 
     code: ProblemCode
@@ -124,7 +124,7 @@ class MeshError(PipelineError):
 class CalibrationError(PipelineError):
     """No calibration can be solved from these drops or stones; `problems` say why and what to do."""
 
-    def __init__(self, problems: Sequence[Problem]) -> None:
+    def __init__(self, problems: Sequence[CalibrationProblem]) -> None:
         super().__init__(tuple(problems))
         self.problems = tuple(problems)
 

@@ -16,7 +16,7 @@ MAX_BURST = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class CountedStep:
     """The progress of the counter with one line of the gate."""
 
     sequence: int  # of the last edge, counted on over wraps and restarts
@@ -42,20 +42,20 @@ class EdgeCounter:
         """Go on from what was known of the same gate earlier; its numbers are not counted on."""
         self._last, self._device_us = sequence, device_us
 
-    def edge(self, sequence: int, device_us: int) -> Step:
+    def edge(self, sequence: int, device_us: int) -> CountedStep:
         """Note the number of an edge or test pulse."""
         is_not_older = device_us == self._last_edge_us or device_us >= self._device_us
         if self._sequence is not None and sequence == self._last and is_not_older:
-            return Step(sequence=self._sequence, missed=0, is_repeated=True)
+            return CountedStep(sequence=self._sequence, missed=0, is_repeated=True)
         step = self._advance(sequence, device_us, n_announced=1)
         self._last_edge_us = device_us
         return step
 
-    def status(self, last_sequence: int, device_us: int) -> Step:
+    def status(self, last_sequence: int, device_us: int) -> CountedStep:
         """Note the last number of a status."""
         return self._advance(last_sequence, device_us, n_announced=0)
 
-    def _advance(self, sequence: int, device_us: int, *, n_announced: int) -> Step:
+    def _advance(self, sequence: int, device_us: int, *, n_announced: int) -> CountedStep:
         n_new, elapsed_us, has_restarted = n_announced, 0, False
         if self._last is not None:
             n_new, elapsed_us = (sequence - self._last) % SEQUENCES, device_us - self._device_us
@@ -68,4 +68,4 @@ class EdgeCounter:
         self._sequence = sequence if self._sequence is None else self._sequence + n_new
         self._last = sequence
         self._device_us = device_us
-        return Step(sequence=self._sequence, missed=missed, has_restarted=has_restarted)
+        return CountedStep(sequence=self._sequence, missed=missed, has_restarted=has_restarted)

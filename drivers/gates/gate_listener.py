@@ -4,7 +4,7 @@ import logging
 from collections import deque
 from dataclasses import astuple, dataclass, replace
 
-from drivers.gates.edge_counter import EdgeCounter, Step
+from drivers.gates.edge_counter import CountedStep, EdgeCounter
 from drivers.gates.edge_filter import Began, Bounced, EdgeFilter, Ended, Pulse
 from drivers.gates.gate_clock import GateClock
 from drivers.gates.gate_records import (
@@ -201,7 +201,7 @@ class GateListener:
         self._edge = None
         self._ignored = ignored
 
-    def _account(self, step: Step, latest_ns: int) -> list[DeviceEvent]:
+    def _account(self, step: CountedStep, latest_ns: int) -> list[DeviceEvent]:
         if step.has_restarted:
             self._counters.restarts += 1
             self._restarted_ns = latest_ns

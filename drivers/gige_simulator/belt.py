@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from drivers.gige_simulator.hopper import Fall, Hopper
+from drivers.gige_simulator.hopper import Drop, Hopper
 
 SETTLE_NS = 1_000_000_000
 """From the moment the rig is ready to the first stone: the host arms its gate last, which cannot be seen from here."""
@@ -30,7 +30,7 @@ class Belt:
     `drop` is called on that thread with what falls and the moment (monotonic ns, just past) when it closes the beam.
     """
 
-    def __init__(self, hopper: Hopper, drop: Callable[[Fall, int], None], *, rate_hz: float) -> None:
+    def __init__(self, hopper: Hopper, drop: Callable[[Drop, int], None], *, rate_hz: float) -> None:
         self._hopper = hopper
         self._drop = drop
         self._changed = threading.Condition()

@@ -20,10 +20,10 @@ from drivers.gige_simulator.registers import (
     STREAM_SOURCE_PORT,
     TIMESTAMP_CONTROL,
     XML_ADDRESS,
+    AckStatus,
     Key,
     RefusedError,
     Registers,
-    Status,
     Value,
 )
 from drivers.gige_simulator.sensor import Sensor
@@ -168,16 +168,16 @@ class CameraDevice:
         self._registers.put_word(STREAM_PORT, 0)
         self._registers.put("TLParamsLocked", 0)
 
-    def acted(self, *, at_device_ns: int | None) -> Status:
+    def acted(self, *, at_device_ns: int | None) -> AckStatus:
         at_ns = time.monotonic_ns()
         if at_device_ns is not None:
             if self._clock.ptp_state() != "Slave":
-                return Status.NO_REFERENCE_TIME
+                return AckStatus.NO_REFERENCE_TIME
             at_ns = self._clock.host_ns(at_device_ns)
             if at_ns < time.monotonic_ns():
-                return Status.ACTION_LATE
+                return AckStatus.ACTION_LATE
         self._sensor.edge("Action1", at_ns)
-        return Status.SUCCESS
+        return AckStatus.SUCCESS
 
     def resend(self, block_id: int, first: int, last: int, *, has_extended_ids: bool) -> None:
         self._stream.resend(block_id, first, last, has_extended_ids=has_extended_ids)
@@ -217,7 +217,7 @@ class CameraDevice:
 
     def _save_user_set(self, _: int) -> None:
         if self._chosen_set() == "Default":
-            raise RefusedError(Status.WRITE_PROTECT)
+            raise RefusedError(AckStatus.WRITE_PROTECT)
         self._user_sets[self._chosen_set()] = self._registers.saved()
 
     def _choose_startup_set(self, _: int) -> None:

@@ -42,7 +42,7 @@ class GateDesign:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GateCounters:
+class SimulatedGateCounters:
     """Counts of a simulated gate's actions since it was made."""
 
     edges: int = 0  # counted
@@ -67,7 +67,7 @@ class SimulatedGate:
         self, design: GateDesign, *, pulse: Callable[[int], None], empty_rig: Callable[[int], None]
     ) -> None:
         self.faults = GateFaults()
-        self.counters = GateCounters()
+        self.counters = SimulatedGateCounters()
         self._design = design
         self._pulse = pulse
         self._empty_rig = empty_rig

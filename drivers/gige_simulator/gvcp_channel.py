@@ -11,10 +11,10 @@ from typing import Protocol
 from drivers.gige_simulator.registers import (
     CONTROL_PRIVILEGE,
     HEARTBEAT_TIMEOUT,
+    AckStatus,
     Key,
     RefusedError,
     Registers,
-    Status,
 )
 from drivers.gvcp import ACK_HEADER, ACK_REQUIRED, ACTION, DISCOVERY, DISCOVERY_BYTES, HEADER, KEY, SCHEDULED
 
@@ -43,7 +43,7 @@ class CommandEffects(Protocol):
     def released(self) -> None:
         """React to the end of control: acquisition and stream end."""
 
-    def acted(self, *, at_device_ns: int | None) -> Status:
+    def acted(self, *, at_device_ns: int | None) -> AckStatus:
         """React to an action command with the camera's keys."""
 
     def resend(self, block_id: int, first: int, last: int, *, has_extended_ids: bool) -> None:
@@ -103,20 +103,20 @@ class GvcpChannel:
         answer = b""
         try:
             if size != len(body):
-                raise RefusedError(Status.INVALID_HEADER)
+                raise RefusedError(AckStatus.INVALID_HEADER)
             if command == ACTION:
                 status = self._action(flags, body)
                 if status is None:
                     return None
             elif command in self._commands:
                 answer = self._commands[command](body, peer)
-                status = Status.SUCCESS
+                status = AckStatus.SUCCESS
             else:
-                status = Status.NOT_IMPLEMENTED
+                status = AckStatus.NOT_IMPLEMENTED
         except RefusedError as refused:
             status, answer = refused.status, refused.answer
         except struct.error:
-            status = Status.INVALID_HEADER
+            status = AckStatus.INVALID_HEADER
         reply = ACK_HEADER.pack(status, command + 1, len(answer), request_id) + answer
         wanted = reply if flags & ACK_REQUIRED else None
         if peer == self.controller:
@@ -186,7 +186,7 @@ class GvcpChannel:
     def _read_memory(self, body: bytes, peer: Peer) -> bytes:
         address, size = struct.unpack(">IxxH", body)
         if size > _MAX_MEMORY_BYTES:
-            raise RefusedError(Status.INVALID_PARAMETER)
+            raise RefusedError(AckStatus.INVALID_PARAMETER)
         self._demand_readable(peer)
         return body[:4] + self._registers.read(address, size)
 
@@ -200,7 +200,7 @@ class GvcpChannel:
 
     def _write(self, address: int, data: bytes, peer: Peer) -> None:
         if peer != self.controller:
-            raise RefusedError(Status.ACCESS_DENIED)
+            raise RefusedError(AckStatus.ACCESS_DENIED)
         keys = self._registers.write(address, data)
         for key in keys:
             self._device.written(key)
@@ -209,18 +209,18 @@ class GvcpChannel:
 
     def _demand_readable(self, peer: Peer) -> None:
         if self._is_exclusive and peer != self.controller:
-            raise RefusedError(Status.ACCESS_DENIED)
+            raise RefusedError(AckStatus.ACCESS_DENIED)
 
     def _write_privilege(self, value: int, peer: Peer) -> None:
         if self.controller not in (None, peer):
-            raise RefusedError(Status.ACCESS_DENIED)
+            raise RefusedError(AckStatus.ACCESS_DENIED)
         if value & (_CONTROL | _EXCLUSIVE):
             self._take(peer, value & (_CONTROL | _EXCLUSIVE))
         elif self.controller is not None:
             self._device.noted(f"{_name(peer)} left control")
             self.release()
 
-    def _action(self, flags: int, body: bytes) -> Status | None:
+    def _action(self, flags: int, body: bytes) -> AckStatus | None:
         """Act if the keys are the camera's; otherwise return None, as the command is for other cameras."""
         device_key, group_key, group_mask = struct.unpack_from(">III", body)
         registers = self._registers
@@ -256,7 +256,7 @@ def pending_ack(datagram: bytes, delay_ms: int) -> bytes | None:
     if len(datagram) < HEADER.size or datagram[0] != KEY:
         return None
     _, _, _, _, request_id = HEADER.unpack_from(datagram)
-    return ACK_HEADER.pack(Status.SUCCESS, PENDING_ACK, 4, request_id) + struct.pack(">HH", 0, delay_ms)
+    return ACK_HEADER.pack(AckStatus.SUCCESS, PENDING_ACK, 4, request_id) + struct.pack(">HH", 0, delay_ms)
 
 
 def _name(peer: Peer | None) -> str:

@@ -20,7 +20,7 @@ PULSE_WIDTH_NS = 64_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fall:
+class Drop:
     """One stone, or an exposure of the empty rig, where no stone falls."""
 
     is_empty: bool
@@ -45,15 +45,15 @@ class Hopper:
         self._is_looping = is_looping
         width_px, height_px = recording.image_size_px
         n_ahead = max(1, AHEAD_BYTES // (len(recording.camera_ids) * width_px * height_px))
-        self._kept: dict[int, Fall] | None = {} if is_looping and len(self._headers) <= n_ahead else None
-        self._falls: queue.Queue[Fall | None] = queue.Queue(n_ahead)
+        self._kept: dict[int, Drop] | None = {} if is_looping and len(self._headers) <= n_ahead else None
+        self._falls: queue.Queue[Drop | None] = queue.Queue(n_ahead)
         self._is_closing = threading.Event()
         self._thread = threading.Thread(target=self._read_ahead, name="hopper", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
 
-    def take(self) -> Fall | None:
+    def take(self) -> Drop | None:
         """Wait for the next stone and return it; None after the last one and when the hopper is closed."""
         return self._falls.get()
 
@@ -76,14 +76,14 @@ class Hopper:
             self._falls.put(fall)
         self._falls.put(None)
 
-    def _all(self) -> Iterator[Fall]:
+    def _all(self) -> Iterator[Drop]:
         yield from self._one_round()
         for trigger, _ in unreadable_triggers(self._recording):
             yield _unseen(trigger)
         while self._is_looping:
             yield from self._one_round()
 
-    def _one_round(self) -> Iterator[Fall]:
+    def _one_round(self) -> Iterator[Drop]:
         for index, header in enumerate(self._headers):
             if self._kept is not None and index in self._kept:
                 yield self._kept[index]
@@ -94,7 +94,7 @@ class Hopper:
             yield fall
 
 
-def read_fall(header: BundleHeader, recording: Recording) -> Fall:
+def read_fall(header: BundleHeader, recording: Recording) -> Drop:
     """Return the fall of a recorded bundle: its trigger, and the images of its cameras as far as they can be read."""
     try:
         bundle = read_bundle(header.path, recording.camera_ids)
@@ -103,12 +103,12 @@ def read_fall(header: BundleHeader, recording: Recording) -> Fall:
     return _fall(bundle.trigger, {camera: frame.image for camera, frame in bundle.frames.items()})
 
 
-def _unseen(trigger: Trigger) -> Fall:
+def _unseen(trigger: Trigger) -> Drop:
     return _fall(trigger, {})
 
 
-def _fall(trigger: Trigger, images: Mapping[CameraId, Image]) -> Fall:
-    return Fall(
+def _fall(trigger: Trigger, images: Mapping[CameraId, Image]) -> Drop:
+    return Drop(
         is_empty=trigger.kind is BundleKind.BACKGROUND,
         pulse_width_ns=trigger.pulse_width_ns or PULSE_WIDTH_NS,
         images=images,

@@ -27,7 +27,7 @@ Key = tuple[str, int]
 """A feature's key, and its bank: the entry of its selector that it belongs to, 0 without a selector."""
 
 
-class Status(IntEnum):
+class AckStatus(IntEnum):
     """Status codes of an acknowledgement."""
 
     SUCCESS = 0x0000
@@ -47,7 +47,7 @@ class Status(IntEnum):
 class RefusedError(Exception):
     """The camera refuses a command with `status`; `answer` is the body of the acknowledgement."""
 
-    def __init__(self, status: Status, answer: bytes = b"") -> None:
+    def __init__(self, status: AckStatus, answer: bytes = b"") -> None:
         super().__init__(status.name)
         self.status = status
         self.answer = answer
@@ -187,14 +187,14 @@ class Registers:
     def read(self, address: int, size: int) -> bytes:
         """Return `size` bytes from `address`; raises `RefusedError`."""
         if address % 4 or size % 4:
-            raise RefusedError(Status.BAD_ALIGNMENT)
+            raise RefusedError(AckStatus.BAD_ALIGNMENT)
         if address >= XML_ADDRESS and address + size <= XML_ADDRESS + len(self.xml) + 3:
             return self.xml[address - XML_ADDRESS :][:size].ljust(size, b"\0")
         if not (
             address + size <= BOOTSTRAP_BYTES
             or (address >= FEATURES_ADDRESS and address + size <= len(self._memory))
         ):
-            raise RefusedError(Status.INVALID_ADDRESS)
+            raise RefusedError(AckStatus.INVALID_ADDRESS)
         if self.live:
             self._refresh(address, size)
         return bytes(self._memory[address : address + size])
@@ -209,15 +209,15 @@ class Registers:
     def write(self, address: int, data: bytes) -> list[Key]:
         """Write one register and return the keys of the features in it; raises `RefusedError`."""
         if address % 4 or len(data) % 4:
-            raise RefusedError(Status.BAD_ALIGNMENT)
+            raise RefusedError(AckStatus.BAD_ALIGNMENT)
         register = self._registers.get(address)
         if register is None:
             is_known = address + len(data) <= BOOTSTRAP_BYTES
-            raise RefusedError(Status.WRITE_PROTECT if is_known else Status.INVALID_ADDRESS)
+            raise RefusedError(AckStatus.WRITE_PROTECT if is_known else AckStatus.INVALID_ADDRESS)
         if len(data) > register.length:
-            raise RefusedError(Status.INVALID_ADDRESS)
+            raise RefusedError(AckStatus.INVALID_ADDRESS)
         if register.access == "RO":
-            raise RefusedError(Status.WRITE_PROTECT)
+            raise RefusedError(AckStatus.WRITE_PROTECT)
         accepted = bytes(self._memory[address : address + register.length])
         offered = data + accepted[len(data) :]
         for key, _ in register.parts:
@@ -237,7 +237,7 @@ class Registers:
             value = _extract(feature, int.from_bytes(offered, "big"))
         is_change = value != old_value or feature.kind == "command"
         if self.is_acquiring and feature.is_locked and is_change:
-            raise RefusedError(Status.BUSY)
+            raise RefusedError(AckStatus.BUSY)
         value = self._within_range(feature, value)
         if feature.kind == "float":
             return struct.pack(">d", value)
@@ -250,7 +250,7 @@ class Registers:
         if feature.kind == "enumeration":
             if value in feature.entries.values():
                 return value
-            raise RefusedError(Status.INVALID_PARAMETER)
+            raise RefusedError(AckStatus.INVALID_PARAMETER)
         maximum = feature.maximum
         if feature.limit:
             whole, part = feature.limit
@@ -260,7 +260,7 @@ class Registers:
         if lowest <= value <= highest and (step is None or value % step == 0):
             return value
         if not self._clamps or value != value:  # nan
-            raise RefusedError(Status.INVALID_PARAMETER)
+            raise RefusedError(AckStatus.INVALID_PARAMETER)
         clamped = min(max(value, lowest), highest)
         return clamped if step is None else clamped - clamped % step
 

@@ -20,7 +20,7 @@ from drivers.gige_simulator.belt import Belt
 from drivers.gige_simulator.camera import CameraDesign, SimulatedCamera
 from drivers.gige_simulator.counters import Counters
 from drivers.gige_simulator.gate import GateDesign, SimulatedGate
-from drivers.gige_simulator.hopper import Fall, Hopper, read_fall
+from drivers.gige_simulator.hopper import Drop, Hopper, read_fall
 from drivers.gige_simulator.request_socket import request_socket
 from drivers.gige_simulator.rig_requests import RigRequests, counters_of
 from drivers.gige_simulator.sources import SIGHT_MS, Images, Scene
@@ -155,7 +155,7 @@ class SimulatedRig:
         """Return the counters of belt, gate and cameras."""
         return counters_of(self.cameras, self.gate, self.belt)
 
-    def _drop(self, fall: Fall, edge_ns: int) -> None:
+    def _drop(self, fall: Drop, edge_ns: int) -> None:
         self._last_edge_ns = edge_ns
         self._scene.enter(edge_ns, fall.images)
         if fall.is_empty:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from drivers.gige_simulator.counters import WireTally
 from drivers.gige_simulator.faults import Faults
 from drivers.gige_simulator.gvsp import IP_UDP_BYTES, Packet, unavailable
-from drivers.gige_simulator.registers import Status
+from drivers.gige_simulator.registers import AckStatus
 from drivers.gige_simulator.uplink import Uplink
 
 N_KEPT = 3
@@ -166,7 +166,7 @@ class StreamChannel:
                     refusal = unavailable(
                         block_id,
                         packet_id,
-                        Status.PACKET_UNAVAILABLE,
+                        AckStatus.PACKET_UNAVAILABLE,
                         has_extended_ids=has_extended_ids,
                     )
                     self.tally.unavailable += self._put(refusal, is_lost=False)

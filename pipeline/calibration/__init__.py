@@ -4,14 +4,14 @@ from pipeline.calibration.ball_outline import observe_ball
 from pipeline.calibration.calibration import calibrate
 from pipeline.calibration.drops import BallDrop, BallView
 from pipeline.calibration.report import CalibrationReport, ScaleSource, report_document
-from pipeline.errors import CalibrationError, Problem
+from pipeline.errors import CalibrationError, CalibrationProblem
 
 __all__ = [
     "BallDrop",
     "BallView",
     "CalibrationError",
+    "CalibrationProblem",
     "CalibrationReport",
-    "Problem",
     "ScaleSource",
     "calibrate",
     "observe_ball",

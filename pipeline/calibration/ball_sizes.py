@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.calibration.coverage import ball_center_mm
 from pipeline.calibration.drops import BallDrop
-from pipeline.errors import CalibrationError, Problem, ProblemCode
+from pipeline.errors import CalibrationError, CalibrationProblem, ProblemCode
 from pipeline.rig.cameras import RigCalibration
 
 MAX_SCATTER = 0.03
@@ -59,7 +59,7 @@ def with_diameters(
         seen = (
             f"all look {np.exp(logs[0]):.1f} to {np.exp(logs[-1]):.1f} mm" if len(logs) else "none was seen"
         )
-        problem = Problem(
+        problem = CalibrationProblem(
             code=ProblemCode.AMBIGUOUS_SIZES,
             detail=f"balls of {small_mm:g} and {large_mm:g} mm were entered, but the drops do not show two sizes: "
             f"{seen}; enter the diameter of the one ball, or drop both",

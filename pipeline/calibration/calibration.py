@@ -17,9 +17,9 @@ from pipeline.calibration.held_out import held_out_px, located_offsets_px, rms_b
 from pipeline.calibration.lens_fit import fit_lenses, lens_of
 from pipeline.calibration.report import (
     CalibrationReport,
-    Estimate,
+    NumberWithSd,
+    PredictedUncertainty,
     ScaleSource,
-    Uncertainty,
 )
 from pipeline.calibration.robust_adjustment import Adjusted, adjust
 from pipeline.calibration.sphere_image import view_offsets_px
@@ -29,7 +29,7 @@ from pipeline.calibration.uncertainty import (
     covariance,
     length_sd_percent,
 )
-from pipeline.errors import CalibrationError, Problem, ProblemCode, RigError
+from pipeline.errors import CalibrationError, CalibrationProblem, ProblemCode, RigError
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 
@@ -122,7 +122,7 @@ def by_bundle_adjustment(
         focal_factor=focal_factor,
         lenses=lenses,
         fall=fall,
-        uncertainty=Uncertainty(
+        uncertainty=PredictedUncertainty(
             cameras=camera_uncertainties(initial.camera_ids, solution, found),
             length_sd_percent=length_percent,
             observation_px=adjusted.noise.center_px,
@@ -142,7 +142,7 @@ def by_paper(
     """
     used = [drop for drop in drops if sum(camera in drop.views for camera in initial.camera_ids) >= 2]
     problems = [
-        Problem(
+        CalibrationProblem(
             code=ProblemCode.CAMERA_SAW_TOO_FEW,
             detail=f"camera {camera} saw {n} drops whole, the paper's method needs {paper.MIN_DROPS}: "
             "drop more balls",
@@ -162,7 +162,7 @@ def by_paper(
         except RigError as err:
             raise CalibrationError(
                 [
-                    Problem(
+                    CalibrationProblem(
                         code=ProblemCode.NO_CAMERA,
                         detail=f"the paper's method fails: {err}",
                         camera=camera.id,
@@ -225,6 +225,6 @@ def _names(drops: Sequence[BallDrop]) -> set[str]:
     return {drop.name for drop in drops}
 
 
-def _mean(factors: Values) -> Estimate:
+def _mean(factors: Values) -> NumberWithSd:
     """Return the mean over cameras that were solved one by one, with its standard error."""
-    return Estimate(value=float(factors.mean()), sd=float(factors.std(ddof=1) / np.sqrt(len(factors))))
+    return NumberWithSd(value=float(factors.mean()), sd=float(factors.std(ddof=1) / np.sqrt(len(factors))))

@@ -10,13 +10,13 @@ from pipeline.calibration import drop_checks, solution_checks
 from pipeline.calibration.acceptance_limits import AcceptanceLimits
 from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.report import CalibrationReport
-from pipeline.errors import Problem
+from pipeline.errors import CalibrationProblem
 from pipeline.rig.cameras import RigCalibration
 
 
 def diagnose_before(
     drops: Sequence[BallDrop], initial: RigCalibration, limits: AcceptanceLimits | None = None
-) -> tuple[Problem, ...]:
+) -> tuple[CalibrationProblem, ...]:
     """Return the problems of the drops, judged with the initial rig."""
     limits = limits or AcceptanceLimits()
     usable = [drop for drop in drops if len(drop.views) >= limits.min_views]
@@ -34,7 +34,7 @@ def diagnose_before(
 
 def diagnose_after(
     report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits | None = None
-) -> tuple[Problem, ...]:
+) -> tuple[CalibrationProblem, ...]:
     """Return the problems of a solution.
 
     Large residuals do not make a result of the paper's method fatal: that method is kept to compare residuals with.
@@ -55,7 +55,7 @@ def diagnose_after(
 
 def _causes(
     report: CalibrationReport, drops: Sequence[BallDrop], limits: AcceptanceLimits
-) -> Iterator[Problem]:
+) -> Iterator[CalibrationProblem]:
     yield from solution_checks.plausibility_problems(report)
     if report.rig.method != "paper":
         moved = tuple(solution_checks.step_problems(report, drops, limits))

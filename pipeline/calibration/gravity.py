@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pipeline.arrays import PointsMM, Values, Vector
-from pipeline.calibration.report import Fall
+from pipeline.calibration.report import FoundFall
 from pipeline.fall import GRAVITY_MM_S2
 
 MIN_SPAN_NS = 500_000
@@ -26,7 +26,7 @@ N_REWEIGHTINGS = 20
 MIN_DROPS = 4
 
 
-def fall_of(centers_mm: PointsMM, fall_ns: Sequence[int | None]) -> Fall | None:
+def fall_of(centers_mm: PointsMM, fall_ns: Sequence[int | None]) -> FoundFall | None:
     """Return the fall that D places at these times show, or `None` if it is not determined to 0.3 degrees."""
     is_timed = np.array([time is not None for time in fall_ns])
     times_ns = np.array([time for time in fall_ns if time is not None], dtype=np.int64)
@@ -45,10 +45,10 @@ def fall_of(centers_mm: PointsMM, fall_ns: Sequence[int | None]) -> Fall | None:
     if sd_deg > MAX_SD_DEG:
         return None
     x, y, z = (float(value) for value in velocity / speed_mm_s)
-    return Fall(direction=(x, y, z), speed_mm_s=speed_mm_s, sd_deg=sd_deg)
+    return FoundFall(direction=(x, y, z), speed_mm_s=speed_mm_s, sd_deg=sd_deg)
 
 
-def upright(fall: Fall) -> Rotation:
+def upright(fall: FoundFall) -> Rotation:
     """Return the smallest rotation of the world after which the fall is along -z."""
     down = np.array([0.0, 0.0, -1.0])
     axis = np.cross(fall.direction, down)

@@ -12,7 +12,7 @@ import scipy  # imports its submodules on use
 
 from pipeline.arrays import PointsMM, Values
 from pipeline.calibration.drops import BallDrop
-from pipeline.calibration.report import Estimate, FoundLenses, UnseenLenses
+from pipeline.calibration.report import FoundLenses, NumberWithSd, UnseenLenses
 from pipeline.rig.cameras import CameraCalibration, Lens
 from pipeline.rig.depth_blur import SIGMA_OF_DISC
 from pipeline.rig.design import FOCAL_MM
@@ -80,10 +80,10 @@ def fit_lenses(
     focus_sd_mm = prior * sd[2:] * focus_mm**2
     return FoundLenses(
         focal_length_mm=focal_mm,
-        f_number=Estimate(value=f_number, sd=f_number * float(squared_sd / (2 * squared))),
-        blur_px=Estimate(value=abs(float(found.x[1])), sd=float(sd[1])),
+        f_number=NumberWithSd(value=f_number, sd=f_number * float(squared_sd / (2 * squared))),
+        blur_px=NumberWithSd(value=abs(float(found.x[1])), sd=float(sd[1])),
         focus_mm={
-            camera.id: Estimate(value=float(focus_mm[index]), sd=float(focus_sd_mm[index]))
+            camera.id: NumberWithSd(value=float(focus_mm[index]), sd=float(focus_sd_mm[index]))
             for index, camera in enumerate(cameras)
             if n_seen[index] >= MIN_VIEWS and focus_sd_mm[index] <= MAX_FOCUS_SD_MM
         },

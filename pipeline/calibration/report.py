@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-from pipeline.errors import Problem
+from pipeline.errors import CalibrationProblem
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration, rig_to_document
 
@@ -19,7 +19,7 @@ class ScaleSource(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Estimate:
+class NumberWithSd:
     """A number and its standard deviation."""
 
     value: float
@@ -38,7 +38,7 @@ class CameraUncertainty:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Uncertainty:
+class PredictedUncertainty:
     """Uncertainty predicted from the normal equations at the solution."""
 
     cameras: Mapping[CameraId, CameraUncertainty]
@@ -47,7 +47,7 @@ class Uncertainty:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fall:
+class FoundFall:
     """Direction and speed of the balls' fall, in the frame of the initial rig."""
 
     direction: tuple[float, float, float]  # unit vector
@@ -60,9 +60,9 @@ class FoundLenses:
     """Aperture and focus of the lenses."""
 
     focal_length_mm: float  # on the barrel; it only turns the aperture, which images show, into an f-number
-    f_number: Estimate
-    blur_px: Estimate  # sigma of an edge in focus
-    focus_mm: Mapping[CameraId, Estimate]  # depth of the plane in focus, where the balls show it
+    f_number: NumberWithSd
+    blur_px: NumberWithSd  # sigma of an edge in focus
+    focus_mm: Mapping[CameraId, NumberWithSd]  # depth of the plane in focus, where the balls show it
 
 
 class UnseenLenses(StrEnum):
@@ -95,12 +95,12 @@ class CalibrationReport:
     scale: ScaleSource
     edge_offset_px: float | None  # by how much outlines are too large; found with balls of two sizes only
     ball_centers_mm: Mapping[str, tuple[float, float, float]]
-    distance_factor: Estimate  # mean ratio of the cameras' distances from the origin to the initial ones
-    focal_factor: Estimate  # mean ratio of the focal lengths to the initial ones
+    distance_factor: NumberWithSd  # mean ratio of the cameras' distances from the origin to the initial ones
+    focal_factor: NumberWithSd  # mean ratio of the focal lengths to the initial ones
     lenses: FoundLenses | UnseenLenses | None  # `None`: the paper's method does not look for them
-    fall: Fall | None  # `None`: the drops do not determine it, the vertical is the initial rig's
-    uncertainty: Uncertainty | None  # `None` of the paper's method
-    problems: tuple[Problem, ...] = ()
+    fall: FoundFall | None  # `None`: the drops do not determine it, the vertical is the initial rig's
+    uncertainty: PredictedUncertainty | None  # `None` of the paper's method
+    problems: tuple[CalibrationProblem, ...] = ()
 
     @property
     def is_acceptable(self) -> bool:

@@ -20,7 +20,7 @@ from pipeline.calibration.bundle_adjustment import (
 )
 from pipeline.calibration.drops import BallDrop
 from pipeline.calibration.sphere_image import N_SECTORS, Sightings, sightings_of, view_offsets_px
-from pipeline.errors import CalibrationError, Problem, ProblemCode
+from pipeline.errors import CalibrationError, CalibrationProblem, ProblemCode
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 
@@ -132,7 +132,7 @@ def _seen_enough(
         else:
             kept.append(drop)
     if len(kept) < MIN_DROPS:
-        problem = Problem(
+        problem = CalibrationProblem(
             code=ProblemCode.TOO_FEW_DROPS,
             detail=f"only {len(kept)} of {len(kept) + len(left_out)} drops agree with one another, {MIN_DROPS} are "
             "needed: check that each exposure shows one ball, of the diameter entered, and drop more",

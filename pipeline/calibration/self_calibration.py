@@ -16,7 +16,7 @@ import scipy  # imports its submodules on use
 from scipy.spatial.transform import Rotation
 
 from pipeline.arrays import Floats, Values, Vector
-from pipeline.errors import CalibrationError, Problem, ProblemCode
+from pipeline.errors import CalibrationError, CalibrationProblem, ProblemCode
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.views.epipolar_tangency import (
@@ -95,10 +95,10 @@ def recalibrate(
     hulls = [stone for stone in hulls if len(stone.cameras) > MIN_PAIRS]
     if len(hulls) < MIN_STONES:
         detail = f"{len(hulls)} stones with usable silhouettes are too few: let at least {MIN_STONES} fall"
-        raise CalibrationError([Problem(code=ProblemCode.TOO_FEW_STONES, detail=detail)])
+        raise CalibrationError([CalibrationProblem(code=ProblemCode.TOO_FEW_STONES, detail=detail)])
     if unknown := sorted(set(cameras or ()) - set(rig.camera_ids)):
         detail = f"the rig {rig.name} has no camera {', '.join(unknown)}: name cameras of the rig file"
-        raise CalibrationError([Problem(code=ProblemCode.UNKNOWN_CAMERA, detail=detail)])
+        raise CalibrationError([CalibrationProblem(code=ProblemCode.UNKNOWN_CAMERA, detail=detail)])
     judges = hulls[HELD_OUT_EVERY - 1 :: HELD_OUT_EVERY]
     fitted = [stone for n, stone in enumerate(hulls, 1) if n % HELD_OUT_EVERY]
     wanted = displaced_cameras(fitted, rig) if cameras is None else cameras

@@ -24,7 +24,7 @@ from pipeline.calibration.bundle_adjustment import (
     point_weights,
     prior_precision,
 )
-from pipeline.calibration.report import CameraUncertainty, Estimate
+from pipeline.calibration.report import CameraUncertainty, NumberWithSd
 from pipeline.calibration.sphere_image import N_SECTORS, Sightings
 from pipeline.frames import CameraId
 
@@ -93,7 +93,7 @@ def camera_uncertainties(
     }
 
 
-def common_factors(solution: Solution, covariance: Floats) -> tuple[Estimate, Estimate]:
+def common_factors(solution: Solution, covariance: Floats) -> tuple[NumberWithSd, NumberWithSd]:
     """Return the mean ratios of the cameras' distances and of the focal lengths to those of the initial rig."""
     initial_mm = np.array([camera.center_mm for camera in solution.initial])
     distances_mm = np.linalg.norm(initial_mm, axis=1, keepdims=True)
@@ -106,8 +106,8 @@ def common_factors(solution: Solution, covariance: Floats) -> tuple[Estimate, Es
     sd = np.sqrt(np.einsum("ij,jk,ik->i", flat, covariance[:n, :n], flat))
     focal = float(np.exp(solution.parameters[:, FOCAL].mean()))
     return (
-        Estimate(value=float((now_mm / distances_mm).mean()), sd=float(sd[0])),
-        Estimate(value=focal, sd=float(sd[1]) * focal),
+        NumberWithSd(value=float((now_mm / distances_mm).mean()), sd=float(sd[0])),
+        NumberWithSd(value=focal, sd=float(sd[1]) * focal),
     )
 
 

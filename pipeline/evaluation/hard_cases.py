@@ -26,7 +26,7 @@ from pipeline.synthesis.disturbance import (
 )
 from pipeline.synthesis.exposure import LENS_PRESETS, ExposureParameters, LensPreset, expose
 from pipeline.synthesis.placement import drop_across, tumble
-from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, View, illuminate, view_of
+from pipeline.synthesis.renderer import PlacedBody, RenderedRig, View, illuminate, view_of
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
 
 DARK_GREY = (12.0, 60.0)  # of the stone across an aperture; the aperture itself is at about 16
@@ -99,7 +99,7 @@ class _Scene:
     """One camera in a housing, and the bodies that fall past it."""
 
     rig: RigCalibration
-    simulated: SimulatedRig  # of that camera alone
+    simulated: RenderedRig  # of that camera alone
     bodies: list[PlacedBody]
     disturbance: Disturbance = field(default=UNDISTURBED)
 
@@ -173,7 +173,7 @@ def _simulate(
     aperture_direction: Vector | None,
     rng: np.random.Generator,
     exposure: ExposureParameters,
-) -> SimulatedRig:
+) -> RenderedRig:
     """Return the camera in a random housing of the whole rig, with one more aperture if a direction is given."""
     wall = build_wall(rig, rng)
     if aperture_direction is not None:
@@ -185,7 +185,7 @@ def _simulate(
         )
     alone = rig.subset([camera.id])
     backgrounds = render_backgrounds(alone, wall, rng, exposure.lens)
-    return SimulatedRig(rig=alone, backgrounds=backgrounds, parameters=exposure)
+    return RenderedRig(rig=alone, backgrounds=backgrounds, parameters=exposure)
 
 
 def _aperture_at_edge(

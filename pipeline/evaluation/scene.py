@@ -18,7 +18,7 @@ from pipeline.synthesis.bodies import ball
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.exposure import ExposureParameters
 from pipeline.synthesis.placement import drop_across
-from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, simulate_rig
+from pipeline.synthesis.renderer import PlacedBody, RenderedRig, simulate_rig
 
 HOUSING, EMPTY, BALL, BODY = range(4)
 """Keys of a scene's random streams: what one exposure shows does not depend on the others."""
@@ -29,11 +29,11 @@ COMPARED_MM = 12.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scene:
+class EvaluationScene:
     """A rig with deviations in its housing, and its background model."""
 
     seed: int
-    simulated: SimulatedRig
+    simulated: RenderedRig
     background: BackgroundModel
 
     @property
@@ -46,7 +46,7 @@ class Scene:
 
 def build_scene(
     seed: int, design: RigCalibration | None = None, exposure: ExposureParameters | None = None
-) -> Scene:
+) -> EvaluationScene:
     """Build the nominal rig, or another design, with the deviations of `as_built`, and learn its background."""
     rig = as_built(design or nominal_rig(), seed)
     simulated = simulate_rig(rig, stream(seed, HOUSING), exposure)
@@ -54,17 +54,17 @@ def build_scene(
     for number in range(N_EMPTY):
         empty = render_empty(simulated, stream(seed, EMPTY, number), sequence=number + 1)
         background = learn_background(background, empty.frames)
-    return Scene(seed=seed, simulated=simulated, background=background)
+    return EvaluationScene(seed=seed, simulated=simulated, background=background)
 
 
-def photograph_drop(scene: Scene, number: int, diameter_mm: float) -> FrameBundle:
+def photograph_drop(scene: EvaluationScene, number: int, diameter_mm: float) -> FrameBundle:
     """Render drop number `number` of a ball: one frame of each camera."""
     rng = stream(scene.seed, BALL, number)
     placed = drop_across(ball(diameter_mm), scene.true_rig, rng)
     return scene.photograph(placed, rng, f"ball-{number}")
 
 
-def drop_ball(scene: Scene, number: int, diameter_mm: float) -> BallDrop:
+def drop_ball(scene: EvaluationScene, number: int, diameter_mm: float) -> BallDrop:
     """Return the same drop as `photograph_drop`, segmented."""
     bundle = photograph_drop(scene, number, diameter_mm)
     return observe_ball(bundle, scene.background, BackgroundSegmenter(), diameter_mm)

@@ -12,7 +12,7 @@ import trimesh
 from pipeline.carving import CarvingParameters, carve
 from pipeline.errors import MeshError
 from pipeline.evaluation.exact_hull import exact_hull_mesh, star_center_mm
-from pipeline.evaluation.scene import BODY, Scene, rig_error
+from pipeline.evaluation.scene import BODY, EvaluationScene, rig_error
 from pipeline.evaluation.surface_distances import Surface, SurfaceDistances, surface_distances
 from pipeline.frames import FrameBundle
 from pipeline.measuring import ShapeMeasurement, measure_shape
@@ -102,7 +102,7 @@ def random_body(name: str, number: int, seed: int) -> Body:
 def try_body(
     body: Body,
     number: int,
-    scene: Scene,
+    scene: EvaluationScene,
     rigs: Mapping[str, tuple[RigCalibration, Sequence[Method]]],
     on_measured: Callable[[Trial, Measured, trimesh.Trimesh], None] = lambda trial, measured, truth: None,
     masks: Segmenter | None = None,

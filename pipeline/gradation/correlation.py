@@ -47,7 +47,7 @@ class SizeMapping:
         return np.exp(np.where((sizes < knots[0]) | (sizes > knots[-1]), beyond, between))
 
 
-class Form(StrEnum):
+class MappingForm(StrEnum):
     """What the mapping may be."""
 
     FACTOR = "factor"
@@ -58,7 +58,7 @@ class Form(StrEnum):
 class Study:
     """A mapping, and by how many points of passing curves miss the laboratory's, over all sieves of all lots."""
 
-    form: Form
+    form: MappingForm
     mapping: SizeMapping
     n_lots: int
     n_points: int  # sizes that were matched
@@ -69,7 +69,7 @@ class Study:
     held_out_bias: float | None
 
 
-def study(lots: Sequence[SievedLot], form: Form) -> Study:
+def study(lots: Sequence[SievedLot], form: MappingForm) -> Study:
     """Return the mapping that these lots support, judged on lots that it was not fitted to.
 
     Raises
@@ -78,7 +78,7 @@ def study(lots: Sequence[SievedLot], form: Form) -> Study:
         No lot has a sieve that between 5 and 95 % pass.
     """
     points = [_matched(sieved) for sieved in lots]
-    fit = _factor if form is Form.FACTOR else _monotone
+    fit = _factor if form is MappingForm.FACTOR else _monotone
     mapping = fit(points)
     rest = [[*points[:i], *points[i + 1 :]] for i in range(len(lots))]
     raw = np.concatenate([_misses(sieved, lambda sizes_mm: sizes_mm) for sieved in lots])

@@ -112,7 +112,7 @@ class Inverse:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Quantile:
+class SizeQuantile:
     """A size D_p, with what Cu and Cc need of it: the errors of ln D_p."""
 
     size_mm: Estimate
@@ -120,7 +120,9 @@ class Quantile:
     log_errors: Errors
 
 
-def quantile(sample: Sample, percent: float, inverse: Inverse, measured: MeasuredRange) -> Quantile | None:
+def quantile(
+    sample: Sample, percent: float, inverse: Inverse, measured: MeasuredRange
+) -> SizeQuantile | None:
     """Return the size that `percent` pass; its interval holds the sizes that the interval of its passing reaches to.
 
     None: the curve does not reach that far, or the size is not measured.
@@ -141,7 +143,7 @@ def quantile(sample: Sample, percent: float, inverse: Inverse, measured: Measure
     in_mm = log_errors.times(size_mm)
     has, volumes = passes(size_mm)(sample.lot).has, sample.lot.column("volume_mm3")
     parts = volumes / volumes.sum()
-    return Quantile(
+    return SizeQuantile(
         size_mm=replace(
             passing,
             value=size_mm,

@@ -24,7 +24,7 @@ MIN_MASS_PERCENT = 10.0
 """Share of the mass from which on a size fraction is tested."""
 
 
-class Form(StrEnum):
+class ParticleForm(StrEnum):
     """Form of a particle by two of its dimensions."""
 
     FLAT = "flat"
@@ -36,12 +36,12 @@ class Form(StrEnum):
 
 
 DIMENSIONS = {
-    Form.FLAT: ("width_mm", "thickness_mm"),
-    Form.ELONGATED: ("length_mm", "width_mm"),
-    Form.FLAT_AND_ELONGATED: ("length_mm", "thickness_mm"),
+    ParticleForm.FLAT: ("width_mm", "thickness_mm"),
+    ParticleForm.ELONGATED: ("length_mm", "width_mm"),
+    ParticleForm.FLAT_AND_ELONGATED: ("length_mm", "thickness_mm"),
 }
 
-Shares = Mapping[Form, Mapping[int, Mapping[Basis, Estimate]]]
+Shares = Mapping[ParticleForm, Mapping[int, Mapping[Basis, Estimate]]]
 """Percent of the particles that have a form, by the ratio that is exceeded, by mass and by number."""
 
 
@@ -72,15 +72,15 @@ def d4791_of(sample: Sample, apertures_mm: Sequence[float], measured: MeasuredRa
     )
 
 
-def _shares(share: Callable[[Form, int, Basis], Estimate]) -> Shares:
+def _shares(share: Callable[[ParticleForm, int, Basis], Estimate]) -> Shares:
     return {
         form: {ratio: {basis: share(form, ratio, basis) for basis in Basis} for ratio in RATIOS}
-        for form in Form
+        for form in ParticleForm
     }
 
 
 def _shares_within(sample: Sample, size: MeasuredRange) -> Shares:
-    def share(form: Form, ratio: int, basis: Basis) -> Estimate:
+    def share(form: ParticleForm, ratio: int, basis: Basis) -> Estimate:
         return share_percent(sample, exceeds(*DIMENSIONS[form], ratio, [size]), basis, min_stones=MIN_STONES)
 
     return _shares(share)
@@ -113,7 +113,7 @@ def _weighted(sample: Sample, fractions: Sequence[FormFraction]) -> Shares:
 
     spans = _joined(sizes)
 
-    def share(form: Form, ratio: int, basis: Basis) -> Estimate:
+    def share(form: ParticleForm, ratio: int, basis: Basis) -> Estimate:
         mean = weighted_share_percent(sample, exceeds(*DIMENSIONS[form], ratio, spans), *weights[basis])
         parts = [fraction.shares[form][ratio][basis].state for fraction in fractions]
         return replace(mean, state=State.INSUFFICIENT) if State.INSUFFICIENT in parts else mean

@@ -7,7 +7,7 @@ from pipeline.gradation.curve import (
     PERCENTS,
     CurvePoint,
     Inverse,
-    Quantile,
+    SizeQuantile,
     curve_of,
     exact_mm,
     interpolated_mm,
@@ -58,7 +58,7 @@ def evaluate(
     curve = curve_of(sample, apertures_mm, measured)
     passing = {point.sieve_mm: point.by_mass.value for point in curve if point.by_mass.value is not None}
 
-    def quantiles(inverse: Inverse) -> dict[int, Quantile | None]:
+    def quantiles(inverse: Inverse) -> dict[int, SizeQuantile | None]:
         return {percent: quantile(sample, percent, inverse, measured) for percent in PERCENTS}
 
     exact = quantiles(Inverse(size_mm=lambda percent: exact_mm(lot, percent)))
@@ -84,5 +84,5 @@ def evaluate(
     )
 
 
-def _sizes(quantiles: Mapping[int, Quantile | None]) -> dict[int, Estimate]:
+def _sizes(quantiles: Mapping[int, SizeQuantile | None]) -> dict[int, Estimate]:
     return {percent: NOT_MEASURED if of is None else of.size_mm for percent, of in quantiles.items()}

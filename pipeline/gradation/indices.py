@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.arrays import Values
-from pipeline.gradation.curve import Quantile
+from pipeline.gradation.curve import SizeQuantile
 from pipeline.gradation.d4791 import D4791, d4791_of
 from pipeline.gradation.estimates import (
     NOT_MEASURED,
@@ -84,7 +84,7 @@ class Indices:
 
 def indices_of(
     sample: Sample,
-    quantiles: Mapping[int, Quantile | None],
+    quantiles: Mapping[int, SizeQuantile | None],
     fractions: Sequence[FlakinessFraction],
     apertures_mm: Sequence[float],
     measured: MeasuredRange,
@@ -172,7 +172,7 @@ def _fineness(measured: MeasuredRange) -> Callable[[Lot], tuple[Values, Values]]
     return terms
 
 
-def _power_product(factors: tuple[tuple[Quantile | None, int], ...]) -> Estimate:
+def _power_product(factors: tuple[tuple[SizeQuantile | None, int], ...]) -> Estimate:
     """Return a product of powers of quantiles; as its stones are the same, what moves one may move the others."""
     if any(quantile is None for quantile, _ in factors):
         return NOT_MEASURED

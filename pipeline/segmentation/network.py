@@ -59,7 +59,7 @@ class NetworkKind(StrEnum):
     U2NET = "u2net"
 
 
-class Session(Protocol):
+class InferenceSession(Protocol):
     """The part of an `onnxruntime.InferenceSession` that is used."""
 
     def get_inputs(self) -> Sequence[Any]: ...
@@ -69,10 +69,10 @@ class Session(Protocol):
     def run(self, output_names: Sequence[str], feed: Mapping[str, Singles]) -> Sequence[Singles]: ...
 
 
-StartSession = Callable[[bytes, Sequence[str]], Session]
+StartSession = Callable[[bytes, Sequence[str]], InferenceSession]
 
 
-def start_session(model: bytes, providers: Sequence[str]) -> Session:
+def start_session(model: bytes, providers: Sequence[str]) -> InferenceSession:
     """Start a session that computes the same on every run: one thread, one operation after the other."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
@@ -81,7 +81,9 @@ def start_session(model: bytes, providers: Sequence[str]) -> Session:
     options.log_severity_level = 4  # fatal: everything else is raised, and reported where it is caught
     wanted = [(name, dict(PROVIDER_OPTIONS.get(name, {}))) for name in providers]
     # onnxruntime's own fallback only prints to stdout
-    session: Session = onnxruntime.InferenceSession(model, options, providers=wanted, enable_fallback=0)
+    session: InferenceSession = onnxruntime.InferenceSession(
+        model, options, providers=wanted, enable_fallback=0
+    )
     return session
 
 
@@ -100,7 +102,7 @@ class Network:
     fallback: str | None
     """Why it does not run on the provider that was asked for, for people; `None` if it does."""
     _model: bytes = field(repr=False)
-    _session: Session = field(repr=False)
+    _session: InferenceSession = field(repr=False)
     _start: StartSession = field(repr=False)
 
     @property
@@ -187,7 +189,9 @@ def available_providers() -> tuple[str, ...]:
     return tuple(name for name in AUTOMATIC_PROVIDERS if name in built_in)
 
 
-def _first_session(model: bytes, providers: Sequence[str], start: StartSession) -> tuple[Session, str | None]:
+def _first_session(
+    model: bytes, providers: Sequence[str], start: StartSession
+) -> tuple[InferenceSession, str | None]:
     """Start a session; return it, and why it is not on the first of the providers."""
     built_in = onnxruntime.get_available_providers()
     problems = []
@@ -215,7 +219,7 @@ def _first_session(model: bytes, providers: Sequence[str], start: StartSession) 
 
 
 def _sizes_px(
-    session: Session, kind: NetworkKind, metadata: Mapping[str, str], sha256: str
+    session: InferenceSession, kind: NetworkKind, metadata: Mapping[str, str], sha256: str
 ) -> tuple[int, int]:
     """Return the largest edge of the input and the step of smaller ones; `ModelError` if they do not fit the kind."""
     inputs, outputs = session.get_inputs(), session.get_outputs()

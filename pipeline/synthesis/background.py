@@ -45,7 +45,7 @@ class Wall:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Background:
+class EmptyView:
     """The empty view of one camera at the nominal flash, before vignetting and glare of its lens."""
 
     radiance: FloatImage  # (H, W) grey levels, read-only
@@ -82,14 +82,14 @@ def build_wall(rig: RigCalibration, rng: np.random.Generator) -> Wall:
 
 def render_backgrounds(
     rig: RigCalibration, wall: Wall, rng: np.random.Generator, lens: ThinLens | None = None
-) -> Mapping[CameraId, Background]:
+) -> Mapping[CameraId, EmptyView]:
     """Return the empty view of every camera."""
     return {camera.id: _render_background(camera, wall, rng, lens) for camera in rig.cameras}
 
 
 def _render_background(
     camera: CameraCalibration, wall: Wall, rng: np.random.Generator, lens: ThinLens | None
-) -> Background:
+) -> EmptyView:
     width, height = camera.image_size_px
     kernel = None if lens is None else disc_kernel(_wall_disc_px(camera, wall, lens) / COARSE_PX)
     # cells of margin, so that the blur does not reach the border
@@ -114,7 +114,7 @@ def _render_background(
     light = WALL_GREY * gain * (1 + tilt_x * x + tilt_y * y - vignetting * (x**2 + y**2))
     radiance = np.asarray(fine * light, dtype=np.float32)
     radiance.setflags(write=False)
-    return Background(radiance=radiance, gain=gain)
+    return EmptyView(radiance=radiance, gain=gain)
 
 
 def _wall_disc_px(camera: CameraCalibration, wall: Wall, lens: ThinLens) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.fall import pulse_width_ns
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger, rfc3339
 from pipeline.synthesis.disturbance import Disturbance
-from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, photograph
+from pipeline.synthesis.renderer import PlacedBody, RenderedRig, photograph
 
 TRIGGER_DELAY_NS = 247_400_000
 """From the light gate to the exposure: 0.3 m of free fall."""
@@ -45,7 +45,7 @@ class Timing:
 
 def render_bundle(
     bodies: Sequence[PlacedBody],
-    simulated: SimulatedRig,
+    simulated: RenderedRig,
     rng: np.random.Generator,
     *,
     sequence: int,
@@ -66,7 +66,7 @@ def render_bundle(
 
 
 def render_empty(
-    simulated: SimulatedRig,
+    simulated: RenderedRig,
     rng: np.random.Generator,
     *,
     sequence: int,
@@ -94,7 +94,7 @@ def _trigger(sequence: int, kind: BundleKind, label: str, timing: Timing) -> Tri
 def _exposed(
     images: Mapping[CameraId, Image],
     trigger: Trigger,
-    simulated: SimulatedRig,
+    simulated: RenderedRig,
     timing: Timing,
     rng: np.random.Generator,
 ) -> FrameBundle:

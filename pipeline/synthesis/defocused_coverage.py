@@ -11,7 +11,7 @@ from pipeline.arrays import Faces, FloatImage, Floats, Indices, PointsMM, Values
 from pipeline.compiled import compiled, compiled_within
 from pipeline.rig.cameras import CameraCalibration
 from pipeline.rig.lens import RegionLens, region_lenses, region_pixel
-from pipeline.synthesis.pixel_coverage import Edges, Window
+from pipeline.synthesis.pixel_coverage import MeshEdges, Window
 from pipeline.synthesis.thin_lens import ThinLens
 
 LINES_PER_PIXEL = 4
@@ -23,7 +23,7 @@ OFFSET_STEP = np.sqrt(2)
 def defocused_coverage(
     points_camera_mm: PointsMM,
     faces: Faces,
-    edges: Edges,
+    edges: MeshEdges,
     camera: CameraCalibration,
     lens: ThinLens,
     window: Window,

@@ -41,7 +41,7 @@ def intersection(a: Window, b: Window) -> Window | None:
     return Window(left, top, right - left, bottom - top) if left < right and top < bottom else None
 
 
-class Edges(NamedTuple):
+class MeshEdges(NamedTuple):
     """The undirected edges of a closed mesh, and the edges of each face."""
 
     vertices: NDArray[np.int64]  # (E, 2)
@@ -49,17 +49,17 @@ class Edges(NamedTuple):
     signs: NDArray[np.int64]  # (F, 3) 1 where the face runs from the first vertex to the second, else -1
 
 
-def mesh_edges(faces: Faces) -> Edges:
+def mesh_edges(faces: Faces) -> MeshEdges:
     """Return the edges of faces (F, 3)."""
     starts, ends = faces, np.roll(faces, -1, axis=1)
     low, high = np.minimum(starts, ends), np.maximum(starts, ends)
     n_vertices = int(faces.max()) + 1
     keys, index = np.unique(low * n_vertices + high, return_inverse=True)
     vertices = np.column_stack([keys // n_vertices, keys % n_vertices])
-    return Edges(vertices, index.reshape(faces.shape), np.where(starts == low, 1, -1))
+    return MeshEdges(vertices, index.reshape(faces.shape), np.where(starts == low, 1, -1))
 
 
-def silhouette_edges(edges: Edges, is_front: Flags) -> NDArray[np.int64]:
+def silhouette_edges(edges: MeshEdges, is_front: Flags) -> NDArray[np.int64]:
     """Return the directed edges (B, 2) of vertices around the faces (F,) that look to the camera: closed loops."""
     turns = np.bincount(
         edges.face_edges[is_front].ravel(), edges.signs[is_front].ravel(), len(edges.vertices)

@@ -15,7 +15,7 @@ from pipeline.arrays import Directions, FloatImage, Indices, Matrix33, PointsMM,
 from pipeline.frames import CameraId, Image
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.synthesis import pixel_coverage, shading
-from pipeline.synthesis.background import Background, build_wall, render_backgrounds
+from pipeline.synthesis.background import EmptyView, build_wall, render_backgrounds
 from pipeline.synthesis.bodies import Body, SurfaceKind
 from pipeline.synthesis.defocused_coverage import defocused_coverage
 from pipeline.synthesis.disturbance import UNDISTURBED, Disturbance
@@ -39,26 +39,26 @@ class PlacedBody:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SimulatedRig:
+class RenderedRig:
     """The parts of a rig that stay the same between exposures: cameras, housing, light."""
 
     rig: RigCalibration
-    backgrounds: Mapping[CameraId, Background]
+    backgrounds: Mapping[CameraId, EmptyView]
     parameters: ExposureParameters = field(default_factory=ExposureParameters)
 
 
 def simulate_rig(
     rig: RigCalibration, rng: np.random.Generator, parameters: ExposureParameters | None = None
-) -> SimulatedRig:
+) -> RenderedRig:
     """Return a rig in a random housing."""
     parameters = parameters or ExposureParameters()
     backgrounds = render_backgrounds(rig, build_wall(rig, rng), rng, parameters.lens)
-    return SimulatedRig(rig=rig, backgrounds=backgrounds, parameters=parameters)
+    return RenderedRig(rig=rig, backgrounds=backgrounds, parameters=parameters)
 
 
 def photograph(
     bodies: Sequence[PlacedBody],
-    simulated: SimulatedRig,
+    simulated: RenderedRig,
     rng: np.random.Generator,
     disturbances: Mapping[CameraId, Disturbance] = MappingProxyType({}),
 ) -> dict[CameraId, Image]:
@@ -80,7 +80,7 @@ class LitSurface:
 
     mesh: trimesh.Trimesh  # world frame
     center_mm: PointsMM  # (1, 3)
-    edges: pixel_coverage.Edges
+    edges: pixel_coverage.MeshEdges
     scene: EmbreeScene
     face_radiance: Values  # diffuse, of each face
     grain: shading.Grain | None  # what texture finer than faces adds to it
@@ -169,7 +169,7 @@ class View:
 def view_of(
     surfaces: Sequence[LitSurface],
     camera: CameraCalibration,
-    simulated: SimulatedRig,
+    simulated: RenderedRig,
     disturbance: Disturbance = UNDISTURBED,
 ) -> View:
     """Return the view of one camera."""

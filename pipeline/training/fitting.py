@@ -28,7 +28,7 @@ class FittingParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class FittingProgress:
     """The state after a step."""
 
     step: int  # from 1
@@ -46,7 +46,7 @@ def fit(
     batches: Iterable[tuple[Tensor, Tensor]],
     parameters: FittingParameters,
     device: str = "cpu",
-) -> Iterator[Progress]:
+) -> Iterator[FittingProgress]:
     """Train `network` in place, step by step; it holds the averaged weights after the last one, on the CPU.
 
     `batches` are views (N, 2, H, W) and their coverage (N, H, W), one batch a step. The loss is the cross-entropy
@@ -77,6 +77,6 @@ def fit(
         optimizer.step()
         schedule.step()
         averaged.update_parameters(network)
-        yield Progress(step, loss.item())
+        yield FittingProgress(step, loss.item())
     network.load_state_dict(averaged.module.state_dict())
     network.eval().to("cpu")

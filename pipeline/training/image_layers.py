@@ -16,7 +16,7 @@ from pipeline.synthesis.background import (
     APERTURE_RADIUS_MM,
     DOT_RADIUS_MM,
     HOLE_RADIUS_MM,
-    Background,
+    EmptyView,
     Wall,
     build_wall,
     render_backgrounds,
@@ -25,7 +25,7 @@ from pipeline.synthesis.background import (
 from pipeline.synthesis.bodies import Body, cube, cylinder, sphere
 from pipeline.synthesis.exposure import LENS_PRESETS, LensPreset
 from pipeline.synthesis.placement import tumble
-from pipeline.synthesis.renderer import Layer, SimulatedRig, illuminate, view_of
+from pipeline.synthesis.renderer import Layer, RenderedRig, illuminate, view_of
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
 
 VIEW_PX = 256
@@ -75,10 +75,8 @@ def render_body(seed: int, number: int) -> list[BodyLayer]:
     for chosen in rng.choice(len(rig.cameras), VIEWS_PER_BODY, replace=False):
         camera = rig.cameras[int(chosen)]
         width, height = camera.image_size_px
-        dark = Background(radiance=np.zeros((height, width), np.float32), gain=1.0)
-        alone = SimulatedRig(
-            rig=rig.subset([camera.id]), backgrounds={camera.id: dark}, parameters=parameters
-        )
+        dark = EmptyView(radiance=np.zeros((height, width), np.float32), gain=1.0)
+        alone = RenderedRig(rig=rig.subset([camera.id]), backgrounds={camera.id: dark}, parameters=parameters)
         seen = view_of([surface], camera, alone).layers
         layers += [_on_canvas(layer, camera.image_size_px, rng) for layer in seen]
     return layers

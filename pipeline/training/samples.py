@@ -42,7 +42,7 @@ STRONG_NOISE = (1.0, 12.0)
 BRIGHTEST = 255.0
 
 
-class Sample(NamedTuple):
+class TrainingSample(NamedTuple):
     """Input and target of the network."""
 
     view: Singles  # (2, VIEW_PX, VIEW_PX) image and expected wall, relative to the plain wall, 0..2
@@ -61,13 +61,15 @@ class Samples:
     def __len__(self) -> int:
         return self.count
 
-    def __getitem__(self, number: int) -> Sample:
+    def __getitem__(self, number: int) -> TrainingSample:
         if not 0 <= number < self.count:
             raise IndexError(number)
         return compose(self.bodies, self.walls, np.random.default_rng([self.seed, 2, number]))
 
 
-def compose(bodies: Sequence[BodyLayer], walls: Sequence[WallLayer], rng: np.random.Generator) -> Sample:
+def compose(
+    bodies: Sequence[BodyLayer], walls: Sequence[WallLayer], rng: np.random.Generator
+) -> TrainingSample:
     """Compose one sample of randomly chosen layers."""
     wall = _cut(rng)(_chosen(walls, rng).grey) * np.float32(rng.uniform(0.9, 1.1))
     first = _chosen(bodies, rng)
@@ -100,7 +102,7 @@ def compose(bodies: Sequence[BodyLayer], walls: Sequence[WallLayer], rng: np.ran
     flash = rng.uniform(0.3, 1.15) if rng.random() < DIM_SHARE else rng.uniform(0.97, 1.03)
     image = flash * lens.with_glare(light * bodies_light + (1 - coverage) * spoilt) * transmission + veil
     image = _exposed(image, first.scale, rng)
-    return Sample(_relative(image, lens.with_glare(known), rng), np.clip(coverage, 0, 1))
+    return TrainingSample(_relative(image, lens.with_glare(known), rng), np.clip(coverage, 0, 1))
 
 
 def _bodies_in_view(

@@ -3,14 +3,14 @@
 from pipeline.uncertainty.causes import Cause
 from pipeline.uncertainty.evidence import Evidence, ViewEvidence
 from pipeline.uncertainty.model import Uncertainty, uncertainty
-from pipeline.uncertainty.word import QualityParameters, Verdict, verdict
+from pipeline.uncertainty.word import QualityParameters, QualityVerdict, verdict
 
 __all__ = [
     "Cause",
     "Evidence",
     "QualityParameters",
+    "QualityVerdict",
     "Uncertainty",
-    "Verdict",
     "ViewEvidence",
     "uncertainty",
     "verdict",

@@ -28,14 +28,14 @@ class QualityParameters:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class QualityVerdict:
     """The quality of a result, and why it is not better: the greatest cause first, none for a good one."""
 
     quality: Quality
     causes: tuple[Cause, ...] = ()
 
 
-def verdict(found: Uncertainty, by_number: Quality, parameters: QualityParameters) -> Verdict:
+def verdict(found: Uncertainty, by_number: Quality, parameters: QualityParameters) -> QualityVerdict:
     """Return the worse of the quality by the number of views and that by uncertainty, and its causes.
 
     Causes are named until without them the uncertainty would be that of a good result. Dents that no silhouette
@@ -65,4 +65,4 @@ def verdict(found: Uncertainty, by_number: Quality, parameters: QualityParameter
         cause = left.pop(0)
         if cause not in causes:
             causes.append(cause)
-    return Verdict(quality=max(by_sigma, by_number, key=BEST_FIRST.index), causes=tuple(causes))
+    return QualityVerdict(quality=max(by_sigma, by_number, key=BEST_FIRST.index), causes=tuple(causes))

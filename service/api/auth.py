@@ -23,7 +23,7 @@ from service.api.key_guesses import KeyGuesses
 from service.api.key_ring import KeyRing, note_keys
 from service.api.problems import Problem
 from service.api.session_cookies import require_own_page, session_cookie
-from service.api.sessions import Key, Session
+from service.api.sessions import Key, SessionCookie
 from service.api.settings import Scope
 from service.base.addresses import host_of, is_loopback
 from service.base.errors import StoreError
@@ -53,7 +53,7 @@ class Asker:
     scopes: Collection[Scope]
     refusal: Callable[[Scope], Problem]  # of a scope that is lacking
     key: Key | None = None
-    session: Session | None = None  # of a browser
+    session: SessionCookie | None = None  # of a browser
 
 
 def require(scope: Scope) -> Callable[[Request, Context, Credentials], Awaitable[None]]:
@@ -89,7 +89,7 @@ async def asker_of(request: Request, context: Context, credentials: Credentials)
         return _asker_without_keys(context, is_local)
     free = {Scope.READ} if is_local and context.settings.loopback_reads_without_key else set()
     key: Key | None = None
-    session: Session | None = None
+    session: SessionCookie | None = None
     refusal = "send the token of a key as bearer token, or sign in"
     if credentials is not None:
         key = checked_key(request, context, credentials.credentials)

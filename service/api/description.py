@@ -69,6 +69,12 @@ KEY_PARAMETER = {
 
 
 FORMER = {
+    "AcquisitionAnswer": "Acquisition",
+    "CalibrationsAnswer": "Calibrations",
+    "CameraAnswer": "Camera",
+    "RecordingsAnswer": "Recordings",
+    "StandardsAnswer": "Standards",
+    "VerificationsAnswer": "Verifications",
     "Activation": "ActivationDocument",
     "Attempt": "DeliveryDocument",
     "AuditEntry": "AuditEntryDocument",
@@ -82,6 +88,8 @@ FORMER = {
     "ObservedDrop": "Drop",
     "Product": "ProductVersion",
     "ProductDefinition": "ProductRequest",
+    "MappingForm": "Form",
+    "RecordedOptics": "ViewOptics",
     "Repeatability": "Scatter",
     "Run": "RunDocument",
     "SampleStudy": "RepeatabilityDocument",
@@ -100,9 +108,8 @@ def complete(document: dict[str, Any]) -> None:
     """Add to the document of the routes what they do not say themselves."""
     components = document["components"]
     components |= {"headers": HEADERS, "responses": shared_answers()}
-    schemas = components["schemas"]
-    for name, former in FORMER.items():
-        schemas[former] = schemas.pop(name) | {"title": former}
+    schemas = {FORMER.get(name, name): schema for name, schema in components["schemas"].items()}
+    schemas = components["schemas"] = {name: schemas[name] | {"title": name} for name in sorted(schemas)}
     problem = ProblemDocument.model_json_schema(ref_template="#/components/schemas/{model}")
     schemas |= problem.pop("$defs") | {"Problem": problem} | MESSAGES
     schemas |= {name: schema for name, (schema, _) in DETAILS.items()}

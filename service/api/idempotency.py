@@ -48,14 +48,14 @@ class IdempotentPosts:
     def __init__(self, app: ASGIApp, store: Store) -> None:
         self._app = app
         self._store = store
-        self._under_way: dict[tuple[str, str], Attempt] = {}
+        self._under_way: dict[tuple[str, str], GuardedRequest] = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         key = Headers(scope=scope).get(HEADER) if scope["type"] == "http" else None
         if key is None or scope["method"] != "POST":
             await self._app(scope, receive, send)
             return
-        attempt = Attempt(self._store, self._under_way, key)
+        attempt = GuardedRequest(self._store, self._under_way, key)
         scope.setdefault("state", {})["attempt"] = attempt
         messages: list[Message] = []
 
@@ -72,10 +72,10 @@ class IdempotentPosts:
             await send(message)
 
 
-class Attempt:
+class GuardedRequest:
     """One request with an idempotency key; at most one of each key is carried out at a time."""
 
-    def __init__(self, store: Store, under_way: dict[tuple[str, str], "Attempt"], key: str) -> None:
+    def __init__(self, store: Store, under_way: dict[tuple[str, str], "GuardedRequest"], key: str) -> None:
         self._store = store
         self._under_way = under_way
         self._key = key
@@ -149,7 +149,7 @@ class Attempt:
 
 async def begin_attempt(request: Request) -> None:
     """Begin the attempt of a request with an idempotency key, now that it is known who asks."""
-    attempt: Attempt | None = getattr(request.state, "attempt", None)
+    attempt: GuardedRequest | None = getattr(request.state, "attempt", None)
     if attempt is not None:
         await attempt.begin(request.state.who, request)
 

@@ -21,7 +21,7 @@ from service.health.alarms.machine import AlarmConflictError
 from service.lots.lots import LotConflictError
 from service.lots.stored_stones import UnknownChoiceError
 from service.lots.yardsticks import UnknownYardstickError
-from service.store.trouble import Cause
+from service.store.trouble import TroubleCause
 
 log = logging.getLogger(__name__)
 
@@ -298,7 +298,7 @@ async def _handle_store(request: Request, error: Exception) -> JSONResponse:
     # the message names paths of this machine: it is for the journal, not for the client
     log.error("%s: %s", failure_of(request), error)
     trouble = request.app.state.context.store.trouble
-    if trouble is not None and trouble.cause is Cause.DAMAGED:  # asking again does not help
+    if trouble is not None and trouble.cause is TroubleCause.DAMAGED:  # asking again does not help
         return problem_response(request, Problem(500, "store-damaged", str(trouble)))
     return problem_response(request, store_unavailable())
 

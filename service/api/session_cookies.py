@@ -8,7 +8,7 @@ origin, and over TLS the cookie has a name (`__Host-`) that no other host of the
 from fastapi import Request, Response
 
 from service.api.problems import Problem
-from service.api.sessions import Session
+from service.api.sessions import SessionCookie
 from service.api.settings import ApiSettings
 
 NAME, NAME_OVER_TLS = "stonefall-session", "__Host-stonefall-session"
@@ -28,7 +28,7 @@ def session_cookie(request: Request) -> str | None:
 
 
 def set_session_cookie(
-    request: Request, response: Response, cookie: str, session: Session, now_s: float
+    request: Request, response: Response, cookie: str, session: SessionCookie, now_s: float
 ) -> None:
     """Set the cookie of a session, for this host alone and hidden from scripts."""
     _set(request, response, cookie, max(0, session.expires_s - int(now_s)))

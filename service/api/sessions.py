@@ -44,7 +44,7 @@ Key = ApiKey | StoredKey
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Session:
+class SessionCookie:
     """Contents of the cookie; times are seconds since 1970."""
 
     key: str  # its name
@@ -73,7 +73,7 @@ class SessionsFile:
     )  # id -> when it would have ended, in the order of ending
 
 
-COOKIE = TypeAdapter(Session)
+COOKIE = TypeAdapter(SessionCookie)
 CONTENT = TypeAdapter(SessionsFile)
 
 
@@ -85,19 +85,21 @@ class Sessions:
         self._content: SessionsFile | None = None
         self._writing = threading.Lock()
 
-    def begin(self, key: Key, now_s: float) -> tuple[Session, str]:
+    def begin(self, key: Key, now_s: float) -> tuple[SessionCookie, str]:
         """Return a new session of a key, and its cookie; blocks at the first time of a store."""
-        session = Session(key=key.name, id=secrets.token_hex(16), begun_s=int(now_s), renewed_s=int(now_s))
+        session = SessionCookie(
+            key=key.name, id=secrets.token_hex(16), begun_s=int(now_s), renewed_s=int(now_s)
+        )
         return session, self._cookie(session, key)
 
-    def renew(self, session: Session, key: Key, now_s: float) -> tuple[Session, str]:
+    def renew(self, session: SessionCookie, key: Key, now_s: float) -> tuple[SessionCookie, str]:
         """Return the session as it is used now, and its cookie."""
         session = replace(session, renewed_s=max(session.renewed_s, int(now_s)))
         return session, self._cookie(session, key)
 
     def find(
         self, cookie: str, keys_named: Callable[[str], Sequence[Key]], now_s: float
-    ) -> tuple[Session, Key] | None:
+    ) -> tuple[SessionCookie, Key] | None:
         """Return the session of a cookie and its key, which may have been revoked; None if it is not ours or has ended.
 
         The MAC is compared in constant time, and looked at before what it protects is believed.
@@ -116,7 +118,7 @@ class Sessions:
                 return (session, key) if is_alive else None
         return None
 
-    def end(self, session: Session, now_s: float) -> None:
+    def end(self, session: SessionCookie, now_s: float) -> None:
         """End a session before its time, durably; blocks."""
         with self._writing:
             known = self._known()
@@ -126,7 +128,7 @@ class Sessions:
             self._content = replace(known, ended=ended)
             self._write(self._content)
 
-    def _cookie(self, session: Session, key: Key) -> str:
+    def _cookie(self, session: SessionCookie, key: Key) -> str:
         payload = _encoded(json.dumps(asdict(session), separators=(",", ":")).encode())
         return f"{payload}.{_encoded(self._mac(payload, key))}"
 

@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from service.api.openapi_parts import header_references
-from service.api.routes.acquisition import Acquisition
+from service.api.routes.acquisition import AcquisitionAnswer
 from service.api.routes.alarms import AlarmDocument
 from service.api.routes.health import HealthDocument
 from service.base.schema import TIME
@@ -75,7 +75,7 @@ DETAILS: dict[str, tuple[dict[str, Any], Sequence[EventType]]] = {
         [EventType.VERIFICATION_ENDED],
     ),
     "AcquisitionDetails": (
-        _details("Details of `acquisition.changed`.", Acquisition, ["state", "trouble"]),
+        _details("Details of `acquisition.changed`.", AcquisitionAnswer, ["state", "trouble"]),
         [EventType.ACQUISITION_CHANGED],
     ),
     "DiaryDocument": (_schema(DiaryEntry), [EventType.DIARY_NOTED]),

@@ -31,11 +31,11 @@ from drivers.interfaces import (
 )
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 from service.bundling.counters import BundlingCounters, CameraCounters
-from service.bundling.exposure_check import Exposure, ExposureCheck
+from service.bundling.exposure_check import ExposureCheck, MatchedFrame
 from service.bundling.frame_account import FrameAccount
 from service.bundling.missed_triggers import MissedTriggers, Unseen
 from service.bundling.parameters import IN_VIEW_NS, BundlingParameters
-from service.bundling.window import MissingReason, Window
+from service.bundling.window import MissingReason, OpenTrigger
 
 DELIVERY_NS = 300_000_000
 """Longest delivery of a frame from its camera's thread to the assembler, on a busy machine."""
@@ -53,7 +53,7 @@ class BundleAssembler:
         self._delay_ns = round(parameters.expected_delay_ms * 1e6)
         self._window_ns = round(parameters.window_ms * 1e6)
         self._dead_time_ns = round(parameters.dead_time_ms * 1e6)
-        self._open: deque[Window] = deque()
+        self._open: deque[OpenTrigger] = deque()
         self._unmatched: list[Frame | FrameLost] = []  # waiting for their trigger
         self._lost_cameras: set[CameraId] = set()
         self._missed = MissedTriggers(self._window_ns)
@@ -176,7 +176,7 @@ class BundleAssembler:
         self.counters.triggers += 1
         expected_ns = trigger.received_ns + self._delay_ns
         later = [window for window in self._open if window.expected_ns > expected_ns]
-        window = Window(
+        window = OpenTrigger(
             trigger=trigger,
             ordinal=self._n_exposing - sum(not window.in_dead_time for window in later),
             expected_ns=expected_ns,
@@ -257,7 +257,7 @@ class BundleAssembler:
         frame = event if isinstance(event, Frame) else None
         return self._account.count_after_close(event.camera, event.received_ns, frame)
 
-    def _add(self, window: Window, frame: Frame) -> None:
+    def _add(self, window: OpenTrigger, frame: Frame) -> None:
         """Add a frame to a window unless it is a duplicate or another exposure; two different ones are dropped."""
         counters = self.counters.cameras[frame.camera]
         if window.lost.get(frame.camera) == MissingReason.AMBIGUOUS:
@@ -283,7 +283,7 @@ class BundleAssembler:
         window.lost.pop(frame.camera, None)
         window.frames[frame.camera] = frame
 
-    def _owner(self, frame: Frame) -> Window | None:
+    def _owner(self, frame: Frame) -> OpenTrigger | None:
         """Return the open trigger that a late frame was provably exposed for, None if there is none."""
         check = self._exposures[frame.camera]
         return next(
@@ -297,7 +297,7 @@ class BundleAssembler:
             None,
         )
 
-    def _close(self, window: Window, reason: MissingReason = MissingReason.NO_FRAME) -> FrameBundle:
+    def _close(self, window: OpenTrigger, reason: MissingReason = MissingReason.NO_FRAME) -> FrameBundle:
         bundle = window.bundle(self._camera_ids, reason)
         self._account.count_closed(window, bundle)
         if bundle.missing:
@@ -310,12 +310,12 @@ class BundleAssembler:
         """Count the frames among events that are dropped because no trigger came for them."""
         self._account.count_unmatched([event for event in events if isinstance(event, Frame)], self._open)
 
-    def _deadline_ns(self, window: Window) -> int:
+    def _deadline_ns(self, window: OpenTrigger) -> int:
         return window.expected_ns + self._window_ns + DELIVERY_NS + window.stalled_ns
 
 
-def _exposure(frame: Frame, window: Window) -> Exposure:
-    return Exposure(frame.device_ns, frame.frame_id, window.trigger.received_ns, window.ordinal)
+def _exposure(frame: Frame, window: OpenTrigger) -> MatchedFrame:
+    return MatchedFrame(frame.device_ns, frame.frame_id, window.trigger.received_ns, window.ordinal)
 
 
 def _received_ns(event: Frame | FrameLost) -> int:

@@ -20,7 +20,7 @@ LARGEST_ID_STEP = 0x7FFF
 """Largest step of the frame counter that counts as loss; a larger one is a restart of the counter."""
 
 
-class Exposure(NamedTuple):
+class MatchedFrame(NamedTuple):
     """A frame paired with a trigger that it may have been exposed for."""
 
     device_ns: int
@@ -34,11 +34,11 @@ class ExposureCheck:
     """Compares the time between two exposures on one camera's own clock with the time between their triggers."""
 
     tolerance_ns: int
-    _reference: Exposure | None = None
-    _refused: list[Exposure] = field(default_factory=list)
+    _reference: MatchedFrame | None = None
+    _refused: list[MatchedFrame] = field(default_factory=list)
     """The latest frames refused in a row that agree with one another."""
 
-    def belongs(self, exposure: Exposure) -> bool:
+    def belongs(self, exposure: MatchedFrame) -> bool:
         """True when the frame can have been exposed for its trigger; if so it is the next reference.
 
         Without a reference to compare with, only a frame of the very first trigger is accepted: any other may
@@ -55,7 +55,7 @@ class ExposureCheck:
         self._refused = [*self._refused[1 - MANY_FRAMES :], exposure] if agrees else [exposure]
         return False
 
-    def _was_set_anew(self, exposures: Sequence[Exposure]) -> bool:
+    def _was_set_anew(self, exposures: Sequence[MatchedFrame]) -> bool:
         """True when refused frames that agree with one another show that the camera's clock was set.
 
         Otherwise they are late by a trigger or more. No frame is late by as much as `LATEST_FRAME_NS`; of late ones the
@@ -70,7 +70,7 @@ class ExposureCheck:
         is_irregular = max(spacings_ns) - min(spacings_ns) > 2 * self.tolerance_ns
         return _is_counted(reference, last) or (len(exposures) >= MANY_FRAMES and is_irregular)
 
-    def proves(self, exposure: Exposure) -> bool:
+    def proves(self, exposure: MatchedFrame) -> bool:
         """True when clock and counter, compared with the reference, both match the frame to its trigger."""
         reference = self._reference
         return (
@@ -86,7 +86,7 @@ class ExposureCheck:
         exposure = self._reference._replace(device_ns=device_ns, trigger_ns=trigger_ns)
         return 0 < self._misfit_ns(self._reference, exposure) <= LATEST_FRAME_NS
 
-    def _misfit_ns(self, earlier: Exposure, later: Exposure) -> float:
+    def _misfit_ns(self, earlier: MatchedFrame, later: MatchedFrame) -> float:
         """Difference of the two durations beyond the limits of jitter and drift; 0 when they agree."""
         by_camera_ns, by_triggers_ns = (
             later.device_ns - earlier.device_ns,
@@ -96,7 +96,7 @@ class ExposureCheck:
         return max(0.0, abs(by_camera_ns - by_triggers_ns) - allowed_ns)
 
 
-def _is_counted(earlier: Exposure, later: Exposure) -> bool:
+def _is_counted(earlier: MatchedFrame, later: MatchedFrame) -> bool:
     """True when the camera counted as many exposures from one to the other as there were triggers."""
     n_triggers = later.ordinal - earlier.ordinal
     if n_triggers == 0:
@@ -104,7 +104,7 @@ def _is_counted(earlier: Exposure, later: Exposure) -> bool:
     return id_step(earlier.frame_id, later.frame_id) == n_triggers
 
 
-def _ordinal(exposure: Exposure) -> int:
+def _ordinal(exposure: MatchedFrame) -> int:
     return exposure.ordinal
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from pipeline.frames import CameraId, Frame, FrameBundle
 from service.bundling.counters import CameraCounters
 from service.bundling.exposure_check import id_step
-from service.bundling.window import Window
+from service.bundling.window import OpenTrigger
 
 REMEMBERED_TRIGGERS = 16
 """Closed triggers that late frames are compared with."""
@@ -32,7 +32,7 @@ class FrameAccount:
         """Times at which the frames of the remembered triggers were expected."""
         return [closed.expected_ns for closed in self._closed]
 
-    def count_closed(self, window: Window, bundle: FrameBundle) -> None:
+    def count_closed(self, window: OpenTrigger, bundle: FrameBundle) -> None:
         """Count the used and the missing frames of a bundle that leaves."""
         for camera, frame in bundle.frames.items():
             self._verify_id(camera, frame.frame_id, window.ordinal)
@@ -59,7 +59,7 @@ class FrameAccount:
             return True
         return False
 
-    def count_unmatched(self, frames: Iterable[Frame], open_windows: Iterable[Window]) -> None:
+    def count_unmatched(self, frames: Iterable[Frame], open_windows: Iterable[OpenTrigger]) -> None:
         """Count frames outside of every window: late when the last trigger before lacks it, else strays."""
         triggers = [
             *self._closed,
@@ -88,5 +88,5 @@ class FrameAccount:
         counters.unannounced += max(0, n_exposed - n_triggers)
 
 
-def _frame_ids(window: Window) -> dict[CameraId, int]:
+def _frame_ids(window: OpenTrigger) -> dict[CameraId, int]:
     return {camera: frame.frame_id for camera, frame in window.frames.items()}

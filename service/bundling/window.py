@@ -33,7 +33,7 @@ class MissingReason(StrEnum):
 
 
 @dataclass(slots=True, kw_only=True)
-class Window:
+class OpenTrigger:
     """An open trigger whose frames are expected about `expected_ns` of the host's monotonic clock."""
 
     trigger: Trigger

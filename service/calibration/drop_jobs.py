@@ -9,7 +9,7 @@ from drivers.files.rig_file import read_rig, write_rig
 from pipeline.calibration import (
     BallDrop,
     CalibrationError,
-    Problem,
+    CalibrationProblem,
 )
 from pipeline.calibration.ball_fit import fit_ball
 from pipeline.calibration.ball_sizes import apparent_diameter_mm
@@ -51,11 +51,11 @@ class SolveJob:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Solution:
+class Solved:
     """The outcome of a `SolveJob`; without a `calibration_id` there is no solution."""
 
     calibration_id: str | None
-    problems: tuple[Problem, ...]
+    problems: tuple[CalibrationProblem, ...]
 
     @property
     def refusal(self) -> str | None:
@@ -90,13 +90,13 @@ def observe(job: ObserveJob) -> ObservedDrop:
     return observed
 
 
-def solve(job: SolveJob) -> Solution:
+def solve(job: SolveJob) -> Solved:
     """Calibrate the rig from drops, in a process of its own.
 
     Raises
     ------
     WorkerFailure
-        An unexpected exception, with the traceback as text; why nothing can be solved is in the `Solution`.
+        An unexpected exception, with the traceback as text; why nothing can be solved is in the `Solved`.
     """
     with worker_boundary():
         drops = [read_drop(path) for path in job.outline_paths]
@@ -111,10 +111,10 @@ def solve(job: SolveJob) -> Solution:
                 name=job.name,
             )
         except CalibrationError as err:
-            return Solution(calibration_id=None, problems=err.problems)
+            return Solved(calibration_id=None, problems=err.problems)
         write_rig(job.folder / "rig.json", solved.rig)
         write_json(job.folder / "report.json", solved.report)
-    return Solution(calibration_id=solved.rig.calibration_id, problems=solved.problems)
+    return Solved(calibration_id=solved.rig.calibration_id, problems=solved.problems)
 
 
 def _with_nearest_diameter(drop: BallDrop, diameters_mm: tuple[float, ...], rig: RigCalibration) -> BallDrop:

@@ -9,8 +9,8 @@ import numpy as np
 from pipeline.calibration import (
     BallDrop,
     BallView,
+    CalibrationProblem,
     CalibrationReport,
-    Problem,
     calibrate,
     observe_ball,
     report_document,
@@ -30,7 +30,7 @@ class SolvedRig:
     """A rig solved from drops, and the evidence for it."""
 
     evidence: CalibrationReport | StoneCalibration
-    problems: tuple[Problem, ...]
+    problems: tuple[CalibrationProblem, ...]
     report: Mapping[str, Any]
     """The evidence and the problems, JSON-ready."""
 
@@ -45,7 +45,7 @@ class SolvedRig:
         return refusal_of(self.problems)
 
 
-def refusal_of(problems: Sequence[Problem]) -> str | None:
+def refusal_of(problems: Sequence[CalibrationProblem]) -> str | None:
     """Return the fatal problems in one line, None when there are none."""
     return "; ".join(problem.detail for problem in problems if problem.is_fatal) or None
 
@@ -102,7 +102,7 @@ def solve_drops(
             return SolvedRig(evidence=report, problems=report.problems, report=report_document(report))
 
 
-def _contradictions(found: StoneCalibration) -> tuple[Problem, ...]:
+def _contradictions(found: StoneCalibration) -> tuple[CalibrationProblem, ...]:
     if found.is_acceptable:
         return ()
     worst = max(found.scores_after_px, key=lambda camera: found.scores_after_px[camera])
@@ -110,14 +110,14 @@ def _contradictions(found: StoneCalibration) -> tuple[Problem, ...]:
         f"camera {worst} still contradicts the others by {found.scores_after_px[worst]:.2f} px: let more stones fall,"
         " or calibrate with a ball"
     )
-    return (Problem(code=ProblemCode.CONTRADICTION, detail=detail, camera=worst),)
+    return (CalibrationProblem(code=ProblemCode.CONTRADICTION, detail=detail, camera=worst),)
 
 
 def _stone_report(
     found: StoneCalibration,
     initial: RigCalibration,
     drops: Sequence[BallDrop],
-    problems: Sequence[Problem],
+    problems: Sequence[CalibrationProblem],
 ) -> Mapping[str, Any]:
     """Return the evidence under the keys of a report on balls where these apply, and under its own."""
     return {

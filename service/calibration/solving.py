@@ -5,7 +5,7 @@ from collections.abc import Awaitable, Callable
 
 from drivers.files.times import utc_now
 from service.calibration.drop_files import outline_paths
-from service.calibration.drop_jobs import Solution, SolveJob, solve
+from service.calibration.drop_jobs import Solved, SolveJob, solve
 from service.calibration.files import CalibrationFiles, CalibrationRecord
 from service.calibration.plan import Method
 from service.processing.measure_job import RigFile, lower_priority
@@ -14,10 +14,10 @@ from service.processing.worker_pool import JobLostError, WorkerStartError, run_i
 SOLVE_DEADLINE_S = 300.0
 """The paper's method takes half a minute of one core."""
 
-Solver = Callable[[SolveJob], Awaitable[Solution]]
+Solver = Callable[[SolveJob], Awaitable[Solved]]
 
 
-async def solve_apart(job: SolveJob) -> Solution:
+async def solve_apart(job: SolveJob) -> Solved:
     """Run the job in a process of its own; raise `JobLostError` or `WorkerStartError` when that fails."""
     return await run_in_new_process(solve, job, deadline_s=SOLVE_DEADLINE_S, prepare=lower_priority)
 

@@ -7,7 +7,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.calibration import CalibrationReport, Problem, ScaleSource
+from pipeline.calibration import CalibrationProblem, CalibrationReport, ScaleSource
 from pipeline.calibration.coverage import Coverage
 from pipeline.calibration.report import FoundLenses, UnseenLenses
 from pipeline.calibration.self_calibration import StoneCalibration
@@ -113,7 +113,7 @@ def _lens_line(lenses: FoundLenses | UnseenLenses) -> str:
     )
 
 
-def _problem_line(problem: Problem) -> str:
+def _problem_line(problem: CalibrationProblem) -> str:
     return f"{'refused' if problem.is_fatal else 'warning'}: {problem.detail}"
 
 

@@ -8,9 +8,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from service.host.finding import Finding, Verdict
+from service.host.finding import Finding, HostVerdict
 
-STYLES = {Verdict.GOOD: "green", Verdict.FAULT: "bold red", Verdict.UNKNOWN: "yellow"}
+STYLES = {HostVerdict.GOOD: "green", HostVerdict.FAULT: "bold red", HostVerdict.UNKNOWN: "yellow"}
 
 
 def document(findings: Iterable[Finding]) -> list[Mapping[str, Any]]:
@@ -20,7 +20,7 @@ def document(findings: Iterable[Finding]) -> list[Mapping[str, Any]]:
 
 def has_fault(findings: Iterable[Finding]) -> bool:
     """True when there is a fault among them."""
-    return any(finding.verdict is Verdict.FAULT for finding in findings)
+    return any(finding.verdict is HostVerdict.FAULT for finding in findings)
 
 
 def show(title: str, findings: Iterable[Finding]) -> None:
@@ -33,7 +33,7 @@ def show(title: str, findings: Iterable[Finding]) -> None:
     for finding in findings:
         verdict = Text(finding.verdict, style=STYLES[finding.verdict])
         found = Text(finding.found)
-        if finding.verdict is not Verdict.GOOD:
+        if finding.verdict is not HostVerdict.GOOD:
             found.append(f"; wanted: {finding.wanted}")
         if finding.remedy is not None:
             found.append(f"\n-> {finding.remedy}", style="bold")

@@ -20,7 +20,7 @@ from rich.progress import Progress
 from service.commands.daemon_client import Key, all_pages, ask
 from service.commands.measuring_pool import Executor, one_error
 from service.commands.remeasure_on_cluster import OrderingDaemon, remeasure_on_cluster
-from service.commands.remeasured_stones import Summary, noted_refusal
+from service.commands.remeasured_stones import RemeasuredIds, noted_refusal
 from service.configuration.settings import load_settings
 from service.remeasuring.remeasuring import DEADLINE_S
 from service.results.fields import Outcome
@@ -49,7 +49,9 @@ def command(
     url = settings.api.local_url
     query = {"kind": "particle", "lot": lot, "since": since, "until": until, "fields": "algorithm_version"}
     wanted = {name: value for name, value in query.items() if value is not None}
-    summary = Summary(without_frames=[stone["id"] for stone in _stones(url, key, wanted, has_frames=False)])
+    summary = RemeasuredIds(
+        without_frames=[stone["id"] for stone in _stones(url, key, wanted, has_frames=False)]
+    )
     names = [stone["id"] for stone in _stones(url, key, wanted, has_frames=True)][::-1]  # the oldest first
     with Progress(console=Console(file=sys.stderr)) as progress:
         bar = progress.add_task("measuring again", total=len(names))
@@ -80,14 +82,14 @@ def _stones(
     return (stone for stone in stones if stone["outcome"] != Outcome.LOST)
 
 
-def _remeasure(url: str, key: str | None, name: str, summary: Summary) -> None:
+def _remeasure(url: str, key: str | None, name: str, summary: RemeasuredIds) -> None:
     """Request the remeasuring of one stone and note its outcome; raise `DaemonError` if the daemon does not answer."""
     with noted_refusal(name, summary):
         done = ask(url, f"/particles/{name}/revisions", key, {}, timeout_s=TRIES * DEADLINE_S)
         (summary.revised if done["is_new"] else summary.unchanged).append(name)
 
 
-def _print(summary: Summary) -> None:
+def _print(summary: RemeasuredIds) -> None:
     typer.echo(
         f"{len(summary.revised)} stones measured again, {len(summary.unchanged)} were of this algorithm"
     )

@@ -16,7 +16,7 @@ from drivers.errors import RecordingError
 from service.base.errors import UsageError
 from service.commands.daemon_client import ask
 from service.commands.measuring_pool import IN_FLIGHT
-from service.commands.remeasured_stones import Summary, noted_refusal
+from service.commands.remeasured_stones import RemeasuredIds, noted_refusal
 from service.processing.job_pool import JobPool
 from service.processing.measure_job import measure
 from service.processing.worker_pool import JobLostError
@@ -76,7 +76,7 @@ async def remeasure_on_cluster(
     daemon: OrderingDaemon,
     executor: str,
     names: Sequence[str],
-    summary: Summary,
+    summary: RemeasuredIds,
     on_progress: Callable[[], object],
 ) -> None:
     """Measure these stones on the cluster, and note the outcome of each.
@@ -111,7 +111,7 @@ class _Stones:
 
     daemon: OrderingDaemon
     pool: JobPool
-    summary: Summary
+    summary: RemeasuredIds
     on_progress: Callable[[], object]
 
     async def remeasure_all(self, names: Iterator[str]) -> None:

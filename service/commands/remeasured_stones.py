@@ -9,7 +9,7 @@ from service.remeasuring.hindrance import Hindrance
 
 
 @dataclass(slots=True)
-class Summary:
+class RemeasuredIds:
     """The ids of the stones, by outcome."""
 
     revised: list[str] = field(default_factory=list)
@@ -19,7 +19,7 @@ class Summary:
 
 
 @contextmanager
-def noted_refusal(name: str, summary: Summary) -> Iterator[None]:
+def noted_refusal(name: str, summary: RemeasuredIds) -> Iterator[None]:
     """Note why a daemon refuses to measure a stone again; what is about no stone is raised on."""
     try:
         yield

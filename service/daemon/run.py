@@ -29,7 +29,7 @@ from service.daemon.stopping import StopRequests
 from service.daemon.systemd import EXTENSION_US, ServiceManager, feed_watchdog, reloading
 from service.processing.process_memory import freeze_gc, keep_freed_memory
 from service.store import Store, open_store
-from service.store.trouble import Cause, trouble_of
+from service.store.trouble import TroubleCause, trouble_of
 
 log = logging.getLogger(__name__)
 
@@ -84,7 +84,7 @@ async def _opened_store(settings: Settings, manager: ServiceManager, requests: S
             return await asyncio.to_thread(open_store, settings.store.dir, keep_raw=settings.store.keep_raw)
         except StoreError as err:
             trouble = trouble_of(err.__cause__) if isinstance(err.__cause__, Exception) else None
-            if trouble is None or trouble.cause is not Cause.FULL:
+            if trouble is None or trouble.cause is not TroubleCause.FULL:
                 raise
             if told != (told := str(trouble)):
                 log.error("waiting for the store: %s", told)

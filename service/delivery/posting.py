@@ -19,7 +19,7 @@ import h11
 from service.base.addresses import address_of
 from service.base.errors import ServiceError
 from service.delivery.abandonable import start_abandonable
-from service.delivery.progress import Answer
+from service.delivery.progress import EndpointAnswer
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 
 CHUNK_BYTES = 4096
@@ -39,16 +39,16 @@ async def post(
     body: bytes,
     headers: Mapping[str, str],
     tls: ssl.SSLContext | None,
-) -> Answer:
+) -> EndpointAnswer:
     """Post a message and return the outcome; raises nothing."""
     began_s = time.monotonic()
     try:
         async with asyncio.timeout(settings.timeout_s):
             answer = await _answer(endpoint, settings, _request(endpoint, body, headers), tls)
     except TimeoutError:
-        answer = Answer(problem=f"no answer within {settings.timeout_s:g} s")
+        answer = EndpointAnswer(problem=f"no answer within {settings.timeout_s:g} s")
     except (NoAnswerError, OSError, ValueError) as err:
-        answer = Answer(problem=str(err) or type(err).__name__)
+        answer = EndpointAnswer(problem=str(err) or type(err).__name__)
     return replace(answer, duration_ms=round(1000 * (time.monotonic() - began_s)))
 
 
@@ -75,7 +75,7 @@ async def _answer(
     settings: WebhooksSettings,
     request: list[h11.Event],
     tls: ssl.SSLContext | None,
-) -> Answer:
+) -> EndpointAnswer:
     reader, writer = await _connect(endpoint, settings, tls)
     try:
         connection = h11.Connection(h11.CLIENT, max_incomplete_event_size=MAX_HEAD_BYTES)
@@ -147,10 +147,10 @@ async def _head(reader: asyncio.StreamReader, connection: h11.Connection) -> h11
                 raise NoAnswerError("the connection was closed without an answer")
 
 
-def _answer_of(response: h11.Response) -> Answer:
+def _answer_of(response: h11.Response) -> EndpointAnswer:
     status = response.status_code
     if 200 <= status < 300:
-        return Answer(status=status)
+        return EndpointAnswer(status=status)
     try:
         phrase = f" {HTTPStatus(status).phrase}"
     except ValueError:
@@ -160,7 +160,7 @@ def _answer_of(response: h11.Response) -> Answer:
         problem += ": redirects are not followed"
     headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in response.headers}
     retry_after_s = _seconds(headers.get("retry-after", ""), datetime.now(UTC))
-    return Answer(status=status, problem=problem, retry_after_s=retry_after_s)
+    return EndpointAnswer(status=status, problem=problem, retry_after_s=retry_after_s)
 
 
 def _seconds(retry_after: str, now: datetime) -> float | None:

@@ -20,7 +20,7 @@ ASKS_TO_WAIT = (HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
+class EndpointAnswer:
     """Outcome of one request."""
 
     status: int | None = None  # None: there was no answer
@@ -30,7 +30,7 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Progress:
+class EndpointProgress:
     """Progress of an endpoint; times are RFC 3339."""
 
     after: int  # last event that it has taken
@@ -55,12 +55,12 @@ class Progress:
 
 
 def next_progress(
-    progress: Progress, event: int, answer: Answer, now: datetime, chance: float = 0.0
-) -> Progress:
+    progress: EndpointProgress, event: int, answer: EndpointAnswer, now: datetime, chance: float = 0.0
+) -> EndpointProgress:
     """Return the progress after an attempt to post `event`; `chance` is random, 0 to 1."""
     at = rfc3339(now)
     if answer.problem is None:
-        return Progress(after=event, last_taken_at=at)
+        return EndpointProgress(after=event, last_taken_at=at)
     failed = replace(
         progress,
         attempts=progress.attempts + 1,
@@ -82,12 +82,12 @@ def next_progress(
     )
 
 
-def enabled(progress: Progress) -> Progress:
+def enabled(progress: EndpointProgress) -> EndpointProgress:
     """Return the progress of an endpoint that is tried again at once, as if it had not failed."""
-    return Progress(after=progress.after, last_taken_at=progress.last_taken_at)
+    return EndpointProgress(after=progress.after, last_taken_at=progress.last_taken_at)
 
 
-def replayed(progress: Progress, after: int) -> Progress:
+def replayed(progress: EndpointProgress, after: int) -> EndpointProgress:
     """Return the progress of an endpoint that gets all events after a number again."""
     return replace(
         progress,

@@ -9,12 +9,12 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from service.base.schema import ANSWER, Time
-from service.delivery.progress import Progress, enabled, replayed
+from service.delivery.progress import EndpointProgress, enabled, replayed
 from service.store import audit
 from service.store.events import EventType, event_ends
 from service.store.schema import transaction
 
-PROGRESS = TypeAdapter(Progress)
+PROGRESS = TypeAdapter(EndpointProgress)
 MAX_DELIVERIES = 500
 """Newest deliveries of each endpoint that are kept."""
 
@@ -67,13 +67,13 @@ def begin(connection: sqlite3.Connection, names: Iterable[str]) -> None:
     """Begin new endpoints at the events from now on."""
     with transaction(connection):
         (last,) = connection.execute("SELECT last_event FROM store").fetchone()
-        first = json.dumps(asdict(Progress(after=last)))
+        first = json.dumps(asdict(EndpointProgress(after=last)))
         connection.executemany(
             "INSERT OR IGNORE INTO webhooks (name, progress) VALUES (?, ?)", [(name, first) for name in names]
         )
 
 
-def progress_of(connection: sqlite3.Connection, name: str) -> Progress:
+def progress_of(connection: sqlite3.Connection, name: str) -> EndpointProgress:
     """Return the progress of an endpoint, one that `begin` knows."""
     (document,) = connection.execute("SELECT progress FROM webhooks WHERE name = ?", (name,)).fetchone()
     return PROGRESS.validate_json(document)
@@ -104,8 +104,12 @@ def n_due(connection: sqlite3.Connection, after: int, types: Sequence[EventType]
 
 
 def note(
-    connection: sqlite3.Connection, name: str, delivery: Attempt, before: Progress, after: Progress
-) -> Progress:
+    connection: sqlite3.Connection,
+    name: str,
+    delivery: Attempt,
+    before: EndpointProgress,
+    after: EndpointProgress,
+) -> EndpointProgress:
     """Note an attempt and what follows from it; return the endpoint's progress.
 
     A request since `before`, as to enable it, takes precedence: then only the attempt is noted.
@@ -134,14 +138,14 @@ def deliveries(connection: sqlite3.Connection, name: str, limit: int) -> list[At
     return [Attempt(**json.loads(document)) for (document,) in rows]
 
 
-def enable(connection: sqlite3.Connection, name: str, who: str) -> Progress:
+def enable(connection: sqlite3.Connection, name: str, who: str) -> EndpointProgress:
     """Try an endpoint again at once, whether it was disabled or waits."""
     with transaction(connection):
         before = progress_of(connection, name)
         return _change(connection, name, who, "webhook enabled", before, enabled(before))
 
 
-def replay(connection: sqlite3.Connection, name: str, after: int, who: str) -> Progress:
+def replay(connection: sqlite3.Connection, name: str, after: int, who: str) -> EndpointProgress:
     """Post all events after a number to an endpoint again; raise `EventCursorError` if they are not there."""
     with transaction(connection):
         first_seq, last_seq = event_ends(connection)
@@ -163,14 +167,19 @@ def _add(connection: sqlite3.Connection, name: str, delivery: Attempt) -> None:
 
 
 def _change(
-    connection: sqlite3.Connection, name: str, who: str, action: str, before: Progress, after: Progress
-) -> Progress:
+    connection: sqlite3.Connection,
+    name: str,
+    who: str,
+    action: str,
+    before: EndpointProgress,
+    after: EndpointProgress,
+) -> EndpointProgress:
     _keep(connection, name, after)
     audit.note(connection, who, action, name, before=asdict(before), after=asdict(after))
     return after
 
 
-def _keep(connection: sqlite3.Connection, name: str, progress: Progress) -> None:
+def _keep(connection: sqlite3.Connection, name: str, progress: EndpointProgress) -> None:
     connection.execute(
         "UPDATE webhooks SET progress = ? WHERE name = ?", (json.dumps(asdict(progress)), name)
     )

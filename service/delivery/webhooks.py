@@ -15,7 +15,7 @@ from service.base.status import Checks, trouble_check
 from service.delivery import table
 from service.delivery.message import Message, message_of, trial_message
 from service.delivery.posting import post
-from service.delivery.progress import Answer, Progress, next_progress
+from service.delivery.progress import EndpointAnswer, EndpointProgress, next_progress
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 from service.delivery.signatures import signatures
 from service.delivery.table import Attempt
@@ -36,7 +36,7 @@ class EndpointStatus:
     """An endpoint and its progress."""
 
     endpoint: WebhookEndpoint
-    progress: Progress
+    progress: EndpointProgress
     n_due: int  # events that it is to be told of yet
 
 
@@ -44,7 +44,7 @@ class EndpointStatus:
 class _Told:
     """What is known of an endpoint in memory."""
 
-    progress: Progress | None = None  # None: before the first look
+    progress: EndpointProgress | None = None  # None: before the first look
     looked_from: int = -1  # after this event
     looked_to: int = -1  # ... and up to this one there is none for it
     tls: ssl.SSLContext | None = None
@@ -229,13 +229,13 @@ class Webhooks:
 
     async def _send(
         self, endpoint: WebhookEndpoint, told: _Told, message: Message, attempt: int
-    ) -> tuple[Answer, Attempt]:
+    ) -> tuple[EndpointAnswer, Attempt]:
         now = self._now()
         try:
             headers = await asyncio.to_thread(_signed, endpoint, message, int(now.timestamp()))
             tls = await _tls_of(endpoint, told)
         except ValueError as err:  # of a secret or a certificate
-            answer = Answer(problem=str(err))
+            answer = EndpointAnswer(problem=str(err))
         else:
             answer = await post(endpoint, self._settings, message.body, headers, tls)
         delivery = Attempt(
@@ -251,7 +251,7 @@ class Webhooks:
         return answer, delivery
 
 
-def _trouble(progress: Progress, now: datetime) -> str | None:
+def _trouble(progress: EndpointProgress, now: datetime) -> str | None:
     if progress.disabled_at is not None:
         return f"disabled since {progress.disabled_at}: {progress.last_problem}"
     if progress.is_failing(now):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Verdict(StrEnum):
+class HostVerdict(StrEnum):
     """Meaning of a finding."""
 
     GOOD = "good"
@@ -19,7 +19,7 @@ class Finding:
     """One thing that was checked."""
 
     subject: str
-    verdict: Verdict
+    verdict: HostVerdict
     found: str
     wanted: str
     remedy: str | None = None  # a command, or a file of deploy/host and where it goes; only of a fault
@@ -34,17 +34,17 @@ def judged(subject: str, *, is_good: bool, found: str, wanted: str, remedy: str)
 
 def good(subject: str, found: str, wanted: str) -> Finding:
     """Return a finding of what is as it should be."""
-    return Finding(subject=subject, verdict=Verdict.GOOD, found=found, wanted=wanted)
+    return Finding(subject=subject, verdict=HostVerdict.GOOD, found=found, wanted=wanted)
 
 
 def fault(subject: str, *, found: str, wanted: str, remedy: str) -> Finding:
     """Return a finding of what is wrong, with its remedy."""
-    return Finding(subject=subject, verdict=Verdict.FAULT, found=found, wanted=wanted, remedy=remedy)
+    return Finding(subject=subject, verdict=HostVerdict.FAULT, found=found, wanted=wanted, remedy=remedy)
 
 
 def unknown(subject: str, found: str, wanted: str) -> Finding:
     """Return a finding of what cannot be read."""
-    return Finding(subject=subject, verdict=Verdict.UNKNOWN, found=found, wanted=wanted)
+    return Finding(subject=subject, verdict=HostVerdict.UNKNOWN, found=found, wanted=wanted)
 
 
 def installed(file: str, folder: str, then: str) -> str:

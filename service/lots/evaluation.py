@@ -10,7 +10,7 @@ from typing import Any
 from pipeline.frames import rfc3339
 from pipeline.gradation.correlation import correlated
 from pipeline.gradation.curve import curve_of
-from pipeline.gradation.d4791 import RATIOS, Form, Shares
+from pipeline.gradation.d4791 import RATIOS, ParticleForm, Shares
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.estimators import sample_of
 from pipeline.gradation.evaluation import Gradation, evaluate
@@ -284,15 +284,15 @@ def _indices(gradation: Gradation) -> ShapeIndices:
 
 
 def _forms(shares: Shares) -> list[FlatAndElongated]:
-    def figures(form: Form, ratio: int) -> dict[str, Estimate]:
+    def figures(form: ParticleForm, ratio: int) -> dict[str, Estimate]:
         return {str(basis): each for basis, each in shares[form][ratio].items()}
 
     return [
         FlatAndElongated(
             ratio=ratio,
-            flat_percent=figures(Form.FLAT, ratio),
-            elongated_percent=figures(Form.ELONGATED, ratio),
-            flat_and_elongated_percent=figures(Form.FLAT_AND_ELONGATED, ratio),
+            flat_percent=figures(ParticleForm.FLAT, ratio),
+            elongated_percent=figures(ParticleForm.ELONGATED, ratio),
+            flat_and_elongated_percent=figures(ParticleForm.FLAT_AND_ELONGATED, ratio),
         )
         for ratio in RATIOS
     ]

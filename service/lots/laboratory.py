@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from drivers.files.times import utc_now
-from pipeline.gradation.correlation import Form, SievedLot, SizeMapping, Study, study
+from pipeline.gradation.correlation import MappingForm, SievedLot, SizeMapping, Study, study
 from service.base.errors import ServiceError, TooManyError
 from service.lots.lots import LotState, lots
 from service.lots.stored_stones import stones_of_lot
@@ -172,7 +172,7 @@ def sievings(connection: sqlite3.Connection, lot: str) -> list[StoredSieving]:
     ]
 
 
-def study_of(connection: sqlite3.Connection, product: str, form: Form) -> Study:
+def study_of(connection: sqlite3.Connection, product: str, form: MappingForm) -> Study:
     """Study all lots of a product that were sieved, void ones left out; takes long, so not on the writer's connection.
 
     Raises
@@ -236,5 +236,5 @@ def _sieving(document: dict[str, Any]) -> Sieving:
 
 def _study(document: dict[str, Any]) -> Study:
     mapping = {name: tuple(values) for name, values in document.pop("mapping").items()}
-    form = Form(document.pop("form"))
+    form = MappingForm(document.pop("form"))
     return Study(form=form, mapping=SizeMapping(**mapping), **document)

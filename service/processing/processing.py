@@ -61,7 +61,7 @@ KeepDrop = Callable[[Record], Awaitable[None]]
 """Stores the observation of a drop once its result is durable; raises `OSError` when it cannot be written."""
 
 
-class DropCollector(Protocol):
+class CollectsDrops(Protocol):
     """An open calibration or verification that collects drops of balls or stones."""
 
     @property
@@ -79,7 +79,7 @@ class CalibrationInUse(Protocol):
     def rig_file(self) -> RigFile: ...
 
     @property
-    def collector(self) -> DropCollector | None: ...
+    def collector(self) -> CollectsDrops | None: ...
 
     @property
     def verified(self) -> Verified | None: ...
@@ -90,7 +90,7 @@ class FixedCalibration:
     """The same calibration for all bundles, without a collector unless one is given."""
 
     rig_file: RigFile
-    collector: DropCollector | None = None
+    collector: CollectsDrops | None = None
     verified: Verified | None = None
 
 
@@ -138,7 +138,7 @@ class JobInputs:
     """Calibration, collector and background in use when a bundle's turn began."""
 
     rig_file: RigFile
-    collector: DropCollector | None
+    collector: CollectsDrops | None
     background: Path | None
 
 

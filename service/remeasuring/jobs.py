@@ -25,7 +25,7 @@ class RigFiles(Protocol):
     def rig_file_of(self, calibration_id: str | None) -> RigFile | None: ...
 
 
-class Background(Protocol):
+class BackgroundInUse(Protocol):
     """The processing of the stones that fall; it knows the background in use."""
 
     @property
@@ -47,7 +47,7 @@ class Jobs:
         self,
         store: Store,
         calibrations: RigFiles,
-        processing: Background,
+        processing: BackgroundInUse,
         *,
         folder: Path,
         save_silhouettes: bool,

@@ -20,7 +20,7 @@ from service.processing.resting_pool import Pool, RestingPool
 from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError
 from service.processing.worker_process import WarmUp
 from service.remeasuring.hindrance import Hindrance, RemeasureError
-from service.remeasuring.jobs import Background, Jobs, RigFiles
+from service.remeasuring.jobs import BackgroundInUse, Jobs, RigFiles
 from service.remeasuring.orders import Orders
 from service.remeasuring.revising import revise
 from service.store import Store
@@ -54,7 +54,7 @@ class Remeasuring:
         self,
         store: Store,
         calibrations: RigFiles,
-        processing: Background,
+        processing: BackgroundInUse,
         *,
         context: WorkerContext,
         make_pool: Callable[[], Pool],

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pipeline.gradation.specification import Verdict
 from service.lots.figures import Decision, LotDocument
 from service.lots.lots import LotState
-from service.reports.document import DASH, Document, Facts, Section, Signatures
+from service.reports.document import DASH, Document, NamesAndValues, Section, Signatures
 from service.reports.evidence import accounting, calibration, gallery, uncertainty, versions
 from service.reports.report import ReportData
 from service.reports.results import gradation, indices, laboratory, limits, with_interval
@@ -160,4 +160,6 @@ def lot_section(data: ReportData, say: Words) -> Section:
         pairs.append((say("lot.stones_fell"), f"{say.time(figures.since)} – {say.time(figures.until)}"))
     if lot is not None:
         pairs.append((say("lot.remark"), lot.remark))
-    return Section(say("lot.title"), (Facts([(name, abridged(value)) for name, value in pairs if value]),))
+    return Section(
+        say("lot.title"), (NamesAndValues([(name, abridged(value)) for name, value in pairs if value]),)
+    )

@@ -14,8 +14,8 @@ from service.reports.drawing import (
     Area,
     Dot,
     Drawing,
+    DrawnLine,
     Label,
-    Line,
     Point,
     Shape,
     Style,
@@ -133,15 +133,15 @@ def _verdict(step: CurveStep) -> Verdict | None:
 def _grid(shown: Sequence[CurveStep], axes: _Axes, words: Words) -> Iterator[Shape]:
     for percent in range(0, 101, 10):
         y = axes.y(percent)
-        yield Line(((LEFT, y), (RIGHT, y)), Style.GRID)
+        yield DrawnLine(((LEFT, y), (RIGHT, y)), Style.GRID)
         if percent % 20 == 0:
             yield Label((LEFT - 7, y + LABEL_SIZE / 3), words.number(percent, 0), Anchor.END)
     for step in shown:
         x = axes.x(step.sieve_mm)
-        yield Line(((x, TOP), (x, BOTTOM)), Style.GRID)
+        yield DrawnLine(((x, TOP), (x, BOTTOM)), Style.GRID)
     for x, text in _tick_labels(shown, axes, words):
         yield Label((x, BOTTOM + LABEL_SIZE + 5), text, Anchor.MIDDLE)
-    yield Line(((LEFT, TOP), (RIGHT, TOP), (RIGHT, BOTTOM), (LEFT, BOTTOM), (LEFT, TOP)), Style.FRAME)
+    yield DrawnLine(((LEFT, TOP), (RIGHT, TOP), (RIGHT, BOTTOM), (LEFT, BOTTOM), (LEFT, TOP)), Style.FRAME)
     yield Label(((LEFT + RIGHT) / 2, BOTTOM + 2.6 * LABEL_SIZE + 5), words("curve.size_axis"), Anchor.MIDDLE)
     yield Label(
         (LABEL_SIZE + 4, (TOP + BOTTOM) / 2), words("curve.passing_axis"), Anchor.MIDDLE, is_turned=True
@@ -169,9 +169,9 @@ def _limits(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
         yield Area((*upper, *reversed(lower)), Style.ENVELOPE)
     for size_mm, limit in limits:
         x, low_y, high_y = axes.x(size_mm), axes.y(limit.min_percent), axes.y(limit.max_percent)
-        yield Line(((x, low_y), (x, high_y)), Style.LIMIT)
-        yield Line(((x - 6, low_y), (x + 6, low_y)), Style.LIMIT)
-        yield Line(((x - 6, high_y), (x + 6, high_y)), Style.LIMIT)
+        yield DrawnLine(((x, low_y), (x, high_y)), Style.LIMIT)
+        yield DrawnLine(((x - 6, low_y), (x + 6, low_y)), Style.LIMIT)
+        yield DrawnLine(((x - 6, high_y), (x + 6, high_y)), Style.LIMIT)
 
 
 def _unmeasured(shown: Sequence[CurveStep], axes: _Axes, words: Words) -> Iterator[Shape]:
@@ -217,7 +217,7 @@ def _hatching(x0: float, x1: float, top: float, bottom: float) -> Iterator[Shape
         reach = i * HATCH_DISTANCE
         right = (x0 + min(reach, width), bottom - max(0.0, reach - width))
         left = (x0 + max(0.0, reach - height), bottom - min(reach, height))
-        yield Line((left, right), Style.HATCH)
+        yield DrawnLine((left, right), Style.HATCH)
 
 
 def _curve(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
@@ -234,13 +234,13 @@ def _curve(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
             low = [axes.point(size_mm, percent) for size_mm, percent, _ in ends if percent is not None]
             high = [axes.point(size_mm, percent) for size_mm, _, percent in ends if percent is not None]
             yield Area((*high, *reversed(low)), Style.BAND)
-        yield Line([axes.point(step.sieve_mm, _percent(step)) for step in members], Style.CURVE)
+        yield DrawnLine([axes.point(step.sieve_mm, _percent(step)) for step in members], Style.CURVE)
 
 
 def _second_curve(second: Mapping[float, float], axes: _Axes, style: Style) -> Iterator[Shape]:
     points = [axes.point(size_mm, percent) for size_mm, percent in second.items()]
     if points:
-        yield Line(points, style)
+        yield DrawnLine(points, style)
     for x, y in points:
         yield _square(x, y, style)
 
@@ -302,13 +302,13 @@ class _Sign:
             case Style.BAND | Style.ENVELOPE:
                 yield Area(corners, self.kind)
                 if self.kind is Style.BAND:
-                    yield Line(((x, y), (x + 24, y)), Style.CURVE)
+                    yield DrawnLine(((x, y), (x + 24, y)), Style.CURVE)
             case Style.HATCH:
                 yield from _hatching(x, x + 24, y - 5, y + 5)
             case Style.LABORATORY | Style.BESIDE:
                 if self.kind is Style.BESIDE:
                     yield Area(corners, Style.BESIDE_BAND)
-                yield Line(((x, y), (x + 24, y)), self.kind)
+                yield DrawnLine(((x, y), (x + 24, y)), self.kind)
                 yield _square(x + 12, y, self.kind)
             case _:
                 yield marker((x + 12, y), self.verdict)

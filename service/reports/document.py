@@ -15,7 +15,7 @@ LONGEST_IN_HALF_A_LINE = 36
 
 
 @dataclass(frozen=True, slots=True)
-class Facts:
+class NamesAndValues:
     """Names and values."""
 
     kind: ClassVar[str] = "facts"
@@ -91,7 +91,7 @@ class Signatures:
     names: Sequence[str]
 
 
-Block = Facts | Table | Note | Picture | Cards | Signatures
+Block = NamesAndValues | Table | Note | Picture | Cards | Signatures
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,7 +47,7 @@ class Area:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class DrawnLine:
     """A line through points."""
 
     points: Sequence[Point]
@@ -73,7 +73,7 @@ class Label:
     is_turned: bool = False
 
 
-Shape = Area | Line | Dot | Label
+Shape = Area | DrawnLine | Dot | Label
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

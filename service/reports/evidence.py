@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from service.lots.figures import LotFigures
-from service.reports.document import DASH, Card, Cards, Column, Facts, Note, Section, Table
+from service.reports.document import DASH, Card, Cards, Column, NamesAndValues, Note, Section, Table
 from service.reports.report import GalleryStone, LastVerification, ReportData
 from service.reports.texts import LONGEST_HEADING, abridged
 from service.reports.words import Words
@@ -22,7 +22,7 @@ def accounting(figures: LotFigures, say: Words) -> Section:
         if by_quality
         else say.number(figures.measured, 0)
     )
-    facts = Facts(
+    facts = NamesAndValues(
         (
             (say("accounting.triggers"), say.number(figures.triggers, 0)),
             (say("accounting.measured"), measured),
@@ -106,7 +106,7 @@ def calibration(data: ReportData, say: Words) -> Section:
     """Return the section on the calibrations of the results and the last verification."""
     figures, last = data.figures, data.verification
     ids = ", ".join(figures.calibration_ids) or say("calibration.none")
-    facts = Facts(
+    facts = NamesAndValues(
         (
             (say("calibration.ids"), abridged(ids)),
             (
@@ -185,7 +185,7 @@ def versions(data: ReportData, say: Words) -> Section:
     return Section(
         say("versions.title"),
         (
-            Facts(
+            NamesAndValues(
                 (
                     (say("versions.software"), abridged(data.software_version)),
                     (say("versions.algorithm"), abridged(algorithms)),

@@ -12,7 +12,7 @@ import typst
 
 from service.base.language import Language
 from service.reports.content import document_of
-from service.reports.document import Facts
+from service.reports.document import NamesAndValues
 from service.reports.drawing import Drawing
 from service.reports.html import TEMPLATES, data_uri
 from service.reports.pictures import sound_png
@@ -55,7 +55,7 @@ def _jsonable(part: Any, language: Language) -> object:
             return None if address is None else PICTURE.format(address)
         case Drawing():
             return {"svg": svg(part, language, is_printed=True), "description": part.description}
-        case Facts():
+        case NamesAndValues():
             return {"kind": part.kind, "by_length": part.by_length()}
     return {field.name: getattr(part, field.name) for field in fields(part)} | {
         "kind": getattr(part, "kind", None)

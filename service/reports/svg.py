@@ -6,7 +6,7 @@ from html import escape
 from service.base.language import Language
 from service.lots.figures import CurveStep
 from service.reports.curve import Beside, gradation_curve
-from service.reports.drawing import LABEL_SIZE, Area, Dot, Drawing, Label, Line, Point, Shape
+from service.reports.drawing import LABEL_SIZE, Area, Dot, Drawing, DrawnLine, Label, Point, Shape
 from service.reports.words import words
 
 COLOURS = {  # light and dark; a page may set the variables itself, which then hold in both
@@ -99,7 +99,7 @@ def _element(shape: Shape) -> str:
     match shape:
         case Area(points, style):
             return f'<polygon class="{style}" points="{_points(points)}"/>'
-        case Line(points, style):
+        case DrawnLine(points, style):
             return f'<polyline class="{style}" points="{_points(points)}"/>'
         case Dot((x, y), radius, style):
             return f'<circle class="{style}" cx="{x:.2f}" cy="{y:.2f}" r="{radius:.2f}"/>'

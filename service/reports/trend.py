@@ -17,8 +17,8 @@ from service.reports.drawing import (
     Area,
     Dot,
     Drawing,
+    DrawnLine,
     Label,
-    Line,
     Point,
     Shape,
     Style,
@@ -172,15 +172,15 @@ def _figure(bucket: TrendBucket, figure: TrendFigure) -> Estimate:
 def _grid(axes: _Axes, title: str, say: Words, zone: tzinfo | None) -> Iterator[Shape]:
     for level in axes.levels():
         y = axes.y(level)
-        yield Line(((LEFT, y), (RIGHT, y)), Style.GRID)
+        yield DrawnLine(((LEFT, y), (RIGHT, y)), Style.GRID)
         yield Label((LEFT - 7, y + LABEL_SIZE / 3), say.number(level, axes.decimals), Anchor.END)
     for at in axes.ticks(zone):
         x = axes.x(at)
-        yield Line(((x, TOP), (x, BOTTOM)), Style.GRID)
+        yield DrawnLine(((x, TOP), (x, BOTTOM)), Style.GRID)
         text = at.strftime(say("trend.day" if (at.hour, at.minute) == (0, 0) else "trend.clock"))
         middle = min(x, WIDTH - 2 - label_width(text) / 2)
         yield Label((middle, BOTTOM + LABEL_SIZE + 4), text, Anchor.MIDDLE)
-    yield Line(((LEFT, TOP), (RIGHT, TOP), (RIGHT, BOTTOM), (LEFT, BOTTOM), (LEFT, TOP)), Style.FRAME)
+    yield DrawnLine(((LEFT, TOP), (RIGHT, TOP), (RIGHT, BOTTOM), (LEFT, BOTTOM), (LEFT, TOP)), Style.FRAME)
     yield Label((LABEL_SIZE + 2, (TOP + BOTTOM) / 2), title, Anchor.MIDDLE, is_turned=True)
 
 
@@ -194,7 +194,7 @@ def _line(values: Sequence[_Value], axes: _Axes, say: Words) -> Iterator[Shape]:
         for is_judged, judged in groupby(members, lambda each: not each.is_few and each.low is not None):
             if is_judged:
                 yield from _band(list(judged), axes)
-        yield Line([axes.point(each.at, each.value or 0.0) for each in members], Style.CURVE)
+        yield DrawnLine([axes.point(each.at, each.value or 0.0) for each in members], Style.CURVE)
         for each in members:
             style = Style.INSUFFICIENT if each.is_few else Style.NO_LIMITS
             yield Dot(axes.point(each.at, each.value or 0.0), 2.6, style)
@@ -206,7 +206,7 @@ def _band(judged: Sequence[_Value], axes: _Axes) -> Iterator[Shape]:
     if len(judged) > 1:
         yield Area((*high, *reversed(low)), Style.BAND)
     else:
-        yield Line((*low, *high), Style.CURVE)
+        yield DrawnLine((*low, *high), Style.CURVE)
 
 
 def _marks(trend: Trend, axes: _Axes, say: Words) -> Iterator[Shape]:
@@ -214,7 +214,7 @@ def _marks(trend: Trend, axes: _Axes, say: Words) -> Iterator[Shape]:
     right = LEFT - 4.0
     for entry in trend.diary:
         x = axes.x(datetime.fromisoformat(entry.at))
-        yield Line(((x, TOP - 6), (x, BOTTOM)), Style.MARK)
+        yield DrawnLine(((x, TOP - 6), (x, BOTTOM)), Style.MARK)
         yield _mark(x, TOP - 6)
         text = entry_name(entry, say)
         width = label_width(text)
@@ -257,7 +257,7 @@ def _legend(trend: Trend, values: Sequence[_Value], say: Words) -> Iterator[Shap
         x += 30 + label_width(text) + 14
 
     corners = ((x, y - 5), (x + 24, y - 5), (x + 24, y + 5), (x, y + 5))
-    line = Line(((x, y), (x + 24, y)), Style.CURVE)
+    line = DrawnLine(((x, y), (x + 24, y)), Style.CURVE)
     dot = Dot((x + 12, y), 2.6, Style.NO_LIMITS)
     if any(each.low is not None for each in values):
         yield from entry(

@@ -11,7 +11,7 @@ from xlsxwriter.worksheet import Worksheet
 from pipeline.gradation.estimates import Estimate
 from service.lots.figures import Decision, FlatAndElongated
 from service.reports.content import document_of
-from service.reports.document import Facts, Note
+from service.reports.document import NamesAndValues, Note
 from service.reports.evidence import calibration, uncertainty, versions
 from service.reports.flat import accounting_rows
 from service.reports.report import ReportData, Scalar
@@ -251,7 +251,7 @@ def _about(sheets: _Sheets, data: ReportData, say: Words) -> None:
         row += 1
         for block in section.blocks:
             pairs: Sequence[tuple[str, str]] = ()
-            if isinstance(block, Facts):
+            if isinstance(block, NamesAndValues):
                 pairs = block.pairs
             elif isinstance(block, Note):
                 pairs = (("", block.text),)

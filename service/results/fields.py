@@ -75,7 +75,7 @@ class Hull(BaseModel):
     equivalent_diameter_mm: float = Field(description="Diameter of the sphere of that volume, mm")
 
 
-class ViewOptics(BaseModel):
+class RecordedOptics(BaseModel):
     """How well a camera saw one exposure, compared with the clean rig."""
 
     brightness: float = Field(description="Light on the wall beside the stone, 1: as in the clean rig")
@@ -284,7 +284,7 @@ class Result(BaseModel):
         default={},
         description="Shift (u, v) of the stone in each camera's image from where the other views expect it, px",
     )
-    optics: dict[str, ViewOptics] = Field(default={}, description="How well each camera saw this stone")
+    optics: dict[str, RecordedOptics] = Field(default={}, description="How well each camera saw this stone")
     timings_ms: dict[str, float] = Field(default={}, description="Computing time of each stage, ms")
     calibration_id: Indexed[str | None] = Field(
         default=None, description="Calibration that was measured with"

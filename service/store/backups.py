@@ -17,7 +17,7 @@ from service.base.errors import StoreError
 from service.store import audit, history, schema
 from service.store.damage import ALL, find_damage
 from service.store.lock import lock_store
-from service.store.trouble import Cause, trouble_of
+from service.store.trouble import TroubleCause, trouble_of
 
 STATISTICS = "sqlite_stat"
 """Begins the names of the tables that `ANALYZE` makes."""
@@ -56,7 +56,7 @@ def back_up(state_dir: Path, target: Path, go_on: Callable[[], bool] = lambda: T
                 raise StoreError(f"no backup of {path}: the daemon stops")
     except (sqlite3.Error, OSError, ValueError) as err:
         trouble = trouble_of(err)
-        is_damaged = trouble is not None and trouble.cause is Cause.DAMAGED
+        is_damaged = trouble is not None and trouble.cause is TroubleCause.DAMAGED
         kind = DamagedStoreError if is_damaged else StoreError
         raise kind(f"no backup of {path} to {target}: {err}") from err
 

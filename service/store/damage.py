@@ -15,7 +15,7 @@ from pathlib import Path
 from pipeline.frames import rfc3339
 from service.store import indexed_fields, schema
 from service.store.particle_files import is_folder
-from service.store.trouble import Cause, trouble_of
+from service.store.trouble import TroubleCause, trouble_of
 
 log = logging.getLogger(__name__)
 
@@ -80,7 +80,7 @@ def find_damage(
         trouble = trouble_of(err)
         if trouble is None:
             return _short(f"{type(err).__name__}: {err}")
-        if trouble.cause is not Cause.DAMAGED:
+        if trouble.cause is not TroubleCause.DAMAGED:
             raise
         return _short(trouble.detail)
 

@@ -26,7 +26,7 @@ from service.store.events import HistoryPage
 from service.store.lock import lock_store
 from service.store.particle_files import RAW, drop_raw, path_of
 from service.store.schema import connect_reader, read
-from service.store.trouble import Cause, StoreTrouble, trouble_of
+from service.store.trouble import StoreTrouble, TroubleCause, trouble_of
 from service.store.writer import StoreWriter
 
 log = logging.getLogger(__name__)
@@ -240,7 +240,7 @@ class Store:
         try:
             await asyncio.to_thread(backups.back_up, self.dir, target, lambda: not self._released)
         except backups.DamagedStoreError as err:
-            await asyncio.to_thread(self._writer.hold, StoreTrouble(Cause.DAMAGED, str(err)))
+            await asyncio.to_thread(self._writer.hold, StoreTrouble(TroubleCause.DAMAGED, str(err)))
             raise
         await asyncio.to_thread(backups.prune, self.dir, keep, target)
         return target
@@ -379,6 +379,6 @@ class Store:
             return await run(self._readers, partial(read, self.path, query, *args, **kwargs))
         except StoreError as err:
             trouble = trouble_of(err.__cause__) if isinstance(err.__cause__, Exception) else None
-            if trouble is not None and trouble.cause is Cause.DAMAGED:
+            if trouble is not None and trouble.cause is TroubleCause.DAMAGED:
                 await run(self._readers, self._writer.hold, trouble)
             raise

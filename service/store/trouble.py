@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Cause(StrEnum):
+class TroubleCause(StrEnum):
     """What is wrong with the disk or with the database."""
 
     FULL = "full"
@@ -19,25 +19,25 @@ class Cause(StrEnum):
 
 
 REMEDIES = {
-    Cause.FULL: "make room on the disk of store.dir",
-    Cause.LOCKED: "end the program that has the database of store.dir locked",
-    Cause.UNWRITABLE: "make store.dir writable for the service: owner, mode, chattr, mount",
-    Cause.DISK: "look at the disk of store.dir (journalctl -k)",
-    Cause.DAMAGED: "restart the service, which sets the damaged database aside and begins a new one,"
+    TroubleCause.FULL: "make room on the disk of store.dir",
+    TroubleCause.LOCKED: "end the program that has the database of store.dir locked",
+    TroubleCause.UNWRITABLE: "make store.dir writable for the service: owner, mode, chattr, mount",
+    TroubleCause.DISK: "look at the disk of store.dir (journalctl -k)",
+    TroubleCause.DAMAGED: "restart the service, which sets the damaged database aside and begins a new one,"
     " or stop it and restore a backup (stonefall restore)",
 }
 
 CAUSES_OF_SQLITE = {
-    sqlite3.SQLITE_PERM: Cause.UNWRITABLE,
-    sqlite3.SQLITE_BUSY: Cause.LOCKED,
-    sqlite3.SQLITE_LOCKED: Cause.LOCKED,
-    sqlite3.SQLITE_READONLY: Cause.UNWRITABLE,
-    sqlite3.SQLITE_IOERR: Cause.DISK,
-    sqlite3.SQLITE_CORRUPT: Cause.DAMAGED,
-    sqlite3.SQLITE_FULL: Cause.FULL,
-    sqlite3.SQLITE_CANTOPEN: Cause.UNWRITABLE,
-    sqlite3.SQLITE_PROTOCOL: Cause.LOCKED,
-    sqlite3.SQLITE_NOTADB: Cause.DAMAGED,
+    sqlite3.SQLITE_PERM: TroubleCause.UNWRITABLE,
+    sqlite3.SQLITE_BUSY: TroubleCause.LOCKED,
+    sqlite3.SQLITE_LOCKED: TroubleCause.LOCKED,
+    sqlite3.SQLITE_READONLY: TroubleCause.UNWRITABLE,
+    sqlite3.SQLITE_IOERR: TroubleCause.DISK,
+    sqlite3.SQLITE_CORRUPT: TroubleCause.DAMAGED,
+    sqlite3.SQLITE_FULL: TroubleCause.FULL,
+    sqlite3.SQLITE_CANTOPEN: TroubleCause.UNWRITABLE,
+    sqlite3.SQLITE_PROTOCOL: TroubleCause.LOCKED,
+    sqlite3.SQLITE_NOTADB: TroubleCause.DAMAGED,
 }
 """By the primary code of the error; any other code is a fault of the program."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -48,7 +48,7 @@ UNWRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EEXIS
 class StoreTrouble:
     """Why the store cannot be used now, and what to do."""
 
-    cause: Cause
+    cause: TroubleCause
     detail: str
 
     def __str__(self) -> str:
@@ -61,12 +61,12 @@ def trouble_of(error: Exception) -> StoreTrouble | None:
         case sqlite3.Error():
             return _trouble_of_sqlite(error)
         case OSError():
-            cause = Cause.FULL if error.errno in FULL else Cause.DISK
+            cause = TroubleCause.FULL if error.errno in FULL else TroubleCause.DISK
             if error.errno in UNWRITABLE:
-                cause = Cause.UNWRITABLE
+                cause = TroubleCause.UNWRITABLE
             return StoreTrouble(cause, f"cannot be written: {error.strerror}")
         case json.JSONDecodeError() | UnicodeDecodeError():
-            return StoreTrouble(Cause.DAMAGED, "a record is damaged")
+            return StoreTrouble(TroubleCause.DAMAGED, "a record is damaged")
     return None
 
 
@@ -74,10 +74,10 @@ def _trouble_of_sqlite(error: sqlite3.Error) -> StoreTrouble | None:
     code: int | None = getattr(error, "sqlite_errorcode", None)
     if code is None:  # not of SQLite: Python could not decode a text
         is_text = isinstance(error, sqlite3.OperationalError) and "decode" in str(error)
-        return StoreTrouble(Cause.DAMAGED, "a text is damaged") if is_text else None
+        return StoreTrouble(TroubleCause.DAMAGED, "a text is damaged") if is_text else None
     if (
         code == sqlite3.SQLITE_ERROR and str(error) == "malformed JSON"
     ):  # all documents are made by `json.dumps`
-        return StoreTrouble(Cause.DAMAGED, "a record is damaged")
+        return StoreTrouble(TroubleCause.DAMAGED, "a record is damaged")
     cause = CAUSES_OF_SQLITE.get(code & 0xFF)
     return None if cause is None else StoreTrouble(cause, str(error))

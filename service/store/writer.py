@@ -17,7 +17,7 @@ from typing import TypeVar
 from service.base.errors import StoreError
 from service.store.history import note_damage
 from service.store.schema import connect
-from service.store.trouble import Cause, StoreTrouble, trouble_of
+from service.store.trouble import StoreTrouble, TroubleCause, trouble_of
 
 log = logging.getLogger(__name__)
 
@@ -53,17 +53,17 @@ class StoreWriter:
         if self._trouble is None and began_s is not None:
             waiting_s = time.monotonic() - began_s
             if waiting_s > STALLED_S:
-                return StoreTrouble(Cause.DISK, f"the disk has not answered for {waiting_s:.0f} s")
+                return StoreTrouble(TroubleCause.DISK, f"the disk has not answered for {waiting_s:.0f} s")
         return self._trouble
 
     def hold(self, trouble: StoreTrouble) -> None:
         """Record why nothing can be written; for good, if the database is damaged. Blocks; call it on any thread."""
         if self._is_damaged:
             return
-        if self._trouble is None or trouble.cause is Cause.DAMAGED:
+        if self._trouble is None or trouble.cause is TroubleCause.DAMAGED:
             log.error("the store is held: %s", trouble)
         self._trouble = trouble
-        if trouble.cause is Cause.DAMAGED:
+        if trouble.cause is TroubleCause.DAMAGED:
             note_damage(self._path.parent, trouble.detail)
 
     def submit(self, write: Callable[[sqlite3.Connection], T]) -> Future[T]:
@@ -108,7 +108,7 @@ class StoreWriter:
 
     @property
     def _is_damaged(self) -> bool:
-        return self._trouble is not None and self._trouble.cause is Cause.DAMAGED
+        return self._trouble is not None and self._trouble.cause is TroubleCause.DAMAGED
 
     def _release(self) -> None:
         if self._trouble is not None:
@@ -122,7 +122,7 @@ class StoreWriter:
         except FileNotFoundError:
             is_in_place = False
         if not is_in_place:
-            self.hold(StoreTrouble(Cause.DAMAGED, "the database file was removed or replaced"))
+            self.hold(StoreTrouble(TroubleCause.DAMAGED, "the database file was removed or replaced"))
 
     def _connect(self) -> sqlite3.Connection:
         if self._connection is None:

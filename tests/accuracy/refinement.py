@@ -26,7 +26,7 @@ from support.printed import show
 
 from pipeline.carving import CarvingParameters, carve
 from pipeline.estimate import estimate_body
-from pipeline.evaluation.scene import Scene, build_scene
+from pipeline.evaluation.scene import EvaluationScene, build_scene
 from pipeline.evaluation.surface_distances import Surface, surface_distances
 from pipeline.frames import CameraId, Frame
 from pipeline.measuring.solid import solid_of
@@ -81,7 +81,7 @@ def main() -> int:
     return 0
 
 
-def table(name: str, size_mm: float, scene: Scene) -> Table:
+def table(name: str, size_mm: float, scene: EvaluationScene) -> Table:
     """Return one line for each case of a stone."""
     rng = stream(scene.seed, 0)
     body = stone(name, size_mm, rng) if name in STONE_FORMS else irregular_body(name, size_mm, rng)

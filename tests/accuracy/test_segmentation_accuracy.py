@@ -23,7 +23,7 @@ from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
 from pipeline.synthesis.background import APERTURE_RADIUS_MM, build_wall, render_backgrounds, wall_directions
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
-from pipeline.synthesis.renderer import SimulatedRig
+from pipeline.synthesis.renderer import RenderedRig
 from pipeline.synthesis.stones import stone
 from service.processing.models.networks import load_model
 
@@ -120,7 +120,7 @@ def test_a_stone_before_dark_apertures_measures_as_beside_them() -> None:
     assert across.measurement.volume_mm3 == pytest.approx(body.mesh.volume, rel=0.02)
 
 
-def with_apertures_behind(point_mm: NDArray[np.float64]) -> SimulatedRig:
+def with_apertures_behind(point_mm: NDArray[np.float64]) -> RenderedRig:
     """A rig in a housing that has an aperture behind a point (1, 3) in each of some views."""
     rig, rng = rendered.rig(), stream(SEED, 3)
     wall = build_wall(rig, rng)
@@ -135,7 +135,7 @@ def with_apertures_behind(point_mm: NDArray[np.float64]) -> SimulatedRig:
         disc_radii_mm=np.append(wall.disc_radii_mm, np.full(len(behind), APERTURE_RADIUS_MM)),
         disc_reflectances=np.append(wall.disc_reflectances, np.full(len(behind), APERTURE_REFLECTANCE)),
     )
-    return SimulatedRig(rig=rig, backgrounds=render_backgrounds(rig, wall, rng))
+    return RenderedRig(rig=rig, backgrounds=render_backgrounds(rig, wall, rng))
 
 
 def measured(bundle: FrameBundle, background: BackgroundModel) -> ParticleResult:

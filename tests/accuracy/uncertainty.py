@@ -33,7 +33,7 @@ from threadpoolctl import threadpool_limits
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.printed import show
 
-from pipeline.evaluation.scene import Scene, build_scene
+from pipeline.evaluation.scene import EvaluationScene, build_scene
 from pipeline.evaluation.surface_distances import Surface, surface_distances
 from pipeline.frames import CameraId, FrameBundle
 from pipeline.particle import PipelineParameters, measure_bundle
@@ -147,7 +147,7 @@ def segmenter_of(name: str) -> Segmenter:
 
 
 def photographed(
-    number: int, scene: Scene, condition: Condition, seed: int
+    number: int, scene: EvaluationScene, condition: Condition, seed: int
 ) -> tuple[FrameBundle, trimesh.Trimesh]:
     """Return an exposure of body `number`, and its true surface."""
     pose, rng = stream(seed, number, POSE), stream(seed, number, EXPOSURE)
@@ -160,7 +160,9 @@ def photographed(
     return bundle, placed.world_mesh
 
 
-def measured(number: int, scene: Scene, name: str, segmenters: Sequence[str], seed: int) -> Iterator[Row]:
+def measured(
+    number: int, scene: EvaluationScene, name: str, segmenters: Sequence[str], seed: int
+) -> Iterator[Row]:
     """Measure body `number` under one condition by each segmenter."""
     bundle, truth = photographed(number, scene, CONDITIONS[name], seed)
     surface = Surface(truth)

@@ -17,7 +17,7 @@ from pipeline.frames import rfc3339
 from service.api.key_file import create_key, revoke_key
 from service.api.key_guesses import MAX_WRONG
 from service.api.session_cookies import NAME, NAME_OVER_TLS
-from service.api.sessions import FILE, LONGEST_S, UNUSED_S, Session, Sessions
+from service.api.sessions import FILE, LONGEST_S, UNUSED_S, SessionCookie, Sessions
 from service.api.settings import ApiKey, ApiSettings, Scope, WithoutKeys
 from service.store import Store
 
@@ -372,7 +372,7 @@ def test_the_name_of_another_key_opens_nothing(tmp_path: Path) -> None:
     session, cookie = sessions.begin(KEY, 1e9)
     assert sessions.find(cookie, lambda _: [admin, KEY], 1e9) == (session, KEY)
     assert sessions.find(cookie, lambda _: [admin], 1e9) is None
-    forged = Session(key="admin", id=session.id, begun_s=session.begun_s, renewed_s=session.renewed_s)
+    forged = SessionCookie(key="admin", id=session.id, begun_s=session.begun_s, renewed_s=session.renewed_s)
     payload = sessions._cookie(forged, admin).partition(".")[0]
     assert sessions.find(f"{payload}.{cookie.partition('.')[2]}", lambda _: [admin, KEY], 1e9) is None
 

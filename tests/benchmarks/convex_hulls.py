@@ -27,7 +27,7 @@ from support.printed import show
 from pipeline.arrays import Directions, PointsMM, Vector
 from pipeline.estimate import inner
 from pipeline.estimate.tangents import Tangents, find_tangents
-from pipeline.evaluation.scene import BODY, Scene, build_scene
+from pipeline.evaluation.scene import BODY, EvaluationScene, build_scene
 from pipeline.frames import FrameBundle
 from pipeline.geometry import quickhull
 from pipeline.geometry.growing_hull import facets_of, growth_for
@@ -97,7 +97,7 @@ def main() -> int:
     return int(bool(dispensable))
 
 
-def photographed(scene: Scene, arguments: argparse.Namespace, number: int) -> Stone:
+def photographed(scene: EvaluationScene, arguments: argparse.Namespace, number: int) -> Stone:
     """Render, segment and measure a stone of the seed."""
     rng = stream(arguments.seed, BODY, number)
     body = tumble(stone(FORM, arguments.size_mm, rng), scene.true_rig, rng)

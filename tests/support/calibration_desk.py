@@ -15,7 +15,7 @@ from pipeline.rig.cameras import RigCalibration
 from service.base.status import AcquisitionState
 from service.calibration.calibrations import Calibrations
 from service.calibration.drop_files import ObservedDrop, SeenCircle
-from service.calibration.drop_jobs import Solution, SolveJob
+from service.calibration.drop_jobs import Solved, SolveJob
 from service.calibration.files import Activation
 from service.calibration.plan import CalibrationRequest
 from service.calibration.startup import load_calibrations
@@ -41,16 +41,16 @@ class MadeUpSolver:
     failure: Exception | None = None
     jobs: list[SolveJob] = field(default_factory=list)
 
-    async def __call__(self, job: SolveJob) -> Solution:
+    async def __call__(self, job: SolveJob) -> Solved:
         await asyncio.sleep(0)
         self.jobs.append(job)
         if self.failure is not None:
             raise self.failure
         if self.rig is None:
-            return Solution(calibration_id=None, problems=self.problems)
+            return Solved(calibration_id=None, problems=self.problems)
         write_rig(job.folder / "rig.json", self.rig)
         write_json(job.folder / "report.json", {"residuals_after_px": {}, "rig": {}})
-        return Solution(calibration_id=self.rig.calibration_id, problems=self.problems)
+        return Solved(calibration_id=self.rig.calibration_id, problems=self.problems)
 
 
 def open_desk(

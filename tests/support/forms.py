@@ -70,7 +70,10 @@ def hull_of(silhouettes: SilhouetteSet, rig: RigCalibration) -> ParticleMesh:
 
 
 def _silhouette(
-    camera: CameraCalibration, mesh: trimesh.Trimesh, edges: pixel_coverage.Edges, rng: np.random.Generator
+    camera: CameraCalibration,
+    mesh: trimesh.Trimesh,
+    edges: pixel_coverage.MeshEdges,
+    rng: np.random.Generator,
 ) -> Silhouette:
     pixels_uv, _ = camera.project(mesh.vertices)
     window = pixel_coverage.window_around(pixels_uv, MARGIN_PX + 4)

@@ -9,7 +9,7 @@ import numpy as np
 from support.rendered_lots import ALL_CAMERAS, Row
 
 from pipeline.arrays import Values
-from pipeline.gradation.d4791 import Form
+from pipeline.gradation.d4791 import ParticleForm
 from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.estimators import Basis
 from pipeline.gradation.evaluation import Gradation, evaluate
@@ -150,7 +150,7 @@ def index_figures(truth: Gradation, lot: Gradation) -> list[Figure]:
         "needle-flaky": (true.needle_flaky, mine.needle_flaky, None),
         "fineness modulus": (true.fineness_modulus, mine.fineness_modulus, None),
     }
-    for form in Form:
+    for form in ParticleForm:
         for basis in Basis:
             of_true, of_mine = (each.d4791.whole[form][3][basis] for each in (true, mine))
             figures[f"D4791 {form.replace('_', ' ')} 3:1 by {basis}"] = (of_true, of_mine, None)

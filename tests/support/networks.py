@@ -8,7 +8,7 @@ import onnx
 from onnx import TensorProto, helper
 
 from pipeline.arrays import Singles
-from pipeline.segmentation.network import CPU, FORMAT, Session, StartSession, start_session
+from pipeline.segmentation.network import CPU, FORMAT, InferenceSession, StartSession, start_session
 from pipeline.segmentation.onnx_runtime import runtime_errors
 
 GPU = "CUDAExecutionProvider"
@@ -102,7 +102,7 @@ def _content(
 class OnGpu:
     """A session that claims to run on a GPU, with little memory."""
 
-    def __init__(self, session: Session, n_runs: int) -> None:
+    def __init__(self, session: InferenceSession, n_runs: int) -> None:
         self.n_runs = n_runs
         self.get_inputs, self.get_outputs = session.get_inputs, session.get_outputs
         self.get_modelmeta = session.get_modelmeta
@@ -121,7 +121,7 @@ class OnGpu:
 def start_on_gpu(*, n_runs: int) -> StartSession:
     """How to start sessions of which those on the GPU run out of memory after so many runs."""
 
-    def start(model: bytes, providers: Sequence[str]) -> Session:
+    def start(model: bytes, providers: Sequence[str]) -> InferenceSession:
         session = start_session(model, (CPU,))
         return OnGpu(session, n_runs) if providers[0] == GPU else session
 

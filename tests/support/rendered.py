@@ -10,7 +10,7 @@ from support.render_cache import kept_rendered
 
 from drivers.files.bundle_file import Compression
 from drivers.files.recording import RecordingSource, RecordingWriter
-from pipeline.evaluation.scene import Scene, build_scene
+from pipeline.evaluation.scene import EvaluationScene, build_scene
 from pipeline.evaluation.trials import STANDARDS
 from pipeline.frames import FrameBundle
 from pipeline.rig.cameras import RigCalibration
@@ -20,7 +20,7 @@ from pipeline.synthesis.bodies import Body, ball, cube, sphere
 from pipeline.synthesis.bundles import render_bundle, stream
 from pipeline.synthesis.exposure import ExposureParameters
 from pipeline.synthesis.placement import tumble
-from pipeline.synthesis.renderer import PlacedBody, SimulatedRig
+from pipeline.synthesis.renderer import PlacedBody, RenderedRig
 
 SEED = 20
 
@@ -31,11 +31,11 @@ def rig() -> RigCalibration:
 
 
 @kept_rendered
-def scene() -> Scene:
+def scene() -> EvaluationScene:
     return build_scene(SEED)
 
 
-def simulated() -> SimulatedRig:
+def simulated() -> RenderedRig:
     return scene().simulated
 
 

@@ -17,7 +17,7 @@ import cv2
 import trimesh
 from threadpoolctl import threadpool_limits
 
-from pipeline.evaluation.scene import Scene, build_scene
+from pipeline.evaluation.scene import EvaluationScene, build_scene
 from pipeline.fall import Fall
 from pipeline.frames import CameraId, FrameBundle
 from pipeline.gradation.stones import DEVIATIONS, MEASURES, Stone, UnmeasuredStone
@@ -92,7 +92,7 @@ def body(number: int, seed: int) -> tuple[Body, Stone]:
 
 
 @cache
-def scene_of(seed: int) -> Scene:
+def scene_of(seed: int) -> EvaluationScene:
     return build_scene(seed, exposure=LENS_PRESETS[LensPreset.F2])
 
 
@@ -122,7 +122,7 @@ def measured(number: int, seed: int, pairs: Sequence[Pair], kind: BodyKind) -> R
     return Row(number=number, form=it.name, true=true, found=found)
 
 
-def recorded(result: ParticleResult, bundle: FrameBundle, scene: Scene) -> Stone | UnmeasuredStone:
+def recorded(result: ParticleResult, bundle: FrameBundle, scene: EvaluationScene) -> Stone | UnmeasuredStone:
     """Return the stone that a lot reads from the record of a result."""
     record = result_record(
         result,

@@ -17,7 +17,7 @@ from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, ball, cube, sphere
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.placement import drop_across, tumble
-from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, simulate_rig
+from pipeline.synthesis.renderer import PlacedBody, RenderedRig, simulate_rig
 
 SHRINK = 4
 MADE_BY = {"test": "small_recording"}
@@ -42,7 +42,7 @@ def _shrunk(camera: CameraCalibration) -> CameraCalibration:
 
 
 @cache
-def _simulated() -> SimulatedRig:
+def _simulated() -> RenderedRig:
     return simulate_rig(thumbnail_rig(), stream(1, 0))
 
 
@@ -80,7 +80,7 @@ def write_small_recording(
 
 
 @cache
-def _simulated_for_balls() -> SimulatedRig:
+def _simulated_for_balls() -> RenderedRig:
     return simulate_rig(thumbnail_rig(), stream(3, 0))
 
 

@@ -12,7 +12,7 @@ from service.base.status import AcquisitionStatus, AcquisitionTarget
 router = APIRouter(prefix="/acquisition", tags=["acquisition"])
 
 
-class Acquisition(AcquisitionStatus):
+class AcquisitionAnswer(AcquisitionStatus):
     """State of the rig; counters begin when it is armed."""
 
 
@@ -26,7 +26,7 @@ class AcquisitionRequest(BaseModel):
 
 @router.get(
     "",
-    response_model=Acquisition,
+    response_model=AcquisitionAnswer,
     dependencies=[Depends(require(Scope.READ))],
 )
 async def acquisition(context: Context) -> AcquisitionStatus:
@@ -36,7 +36,7 @@ async def acquisition(context: Context) -> AcquisitionStatus:
 
 @router.put(
     "",
-    response_model=Acquisition,
+    response_model=AcquisitionAnswer,
     dependencies=[Depends(require(Scope.OPERATE))],
     responses=problem_responses(409),
 )

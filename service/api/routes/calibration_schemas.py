@@ -31,7 +31,7 @@ class CalibrationSummary(CalibrationRecord):
     """True if stones are measured with it now."""
 
 
-class Calibrations(BaseModel):
+class CalibrationsAnswer(BaseModel):
     """All calibrations, newest first, and the history of activations."""
 
     active: Activation = Field(description="The one in use, since when and by whom")

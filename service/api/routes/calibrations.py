@@ -12,7 +12,7 @@ from service.api.context import ApiContext, Context
 from service.api.problems import Problem, existing, problem_responses
 from service.api.routes.calibration_schemas import (
     CalibrationDocument,
-    Calibrations,
+    CalibrationsAnswer,
     CalibrationSummary,
     Signature,
 )
@@ -40,10 +40,10 @@ CalibrationName = Annotated[str, Path(pattern=r"^[0-9]{4,9}$", description="`id`
     "",
     dependencies=[Depends(require(Scope.READ))],
 )
-async def calibrations(context: Context) -> Calibrations:
+async def calibrations(context: Context) -> CalibrationsAnswer:
     """List the calibrations, newest first, and the one in use."""
     known = context.control.calibrations
-    return Calibrations(
+    return CalibrationsAnswer(
         active=known.activated,
         items=[_summary(context, record) for record in known.all()],
         activations=list(known.activations),

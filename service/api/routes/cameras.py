@@ -27,14 +27,14 @@ SHEET_KEPT_S = 2.0
 """For so long all who ask get the same contact sheet, however many watch."""
 
 
-class Camera(CameraStatus):
+class CameraAnswer(CameraStatus):
     """State of one camera; counters begin when the daemon starts, unless a field says otherwise."""
 
 
 class Cameras(BaseModel):
     """All cameras of the rig."""
 
-    items: list[Camera] = Field(description="By place in the rig")
+    items: list[CameraAnswer] = Field(description="By place in the rig")
 
 
 class IdentifyRequest(BaseModel):
@@ -81,7 +81,7 @@ async def contact_sheet(context: Context) -> Response:
     return Response(jpg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
 
-@router.get("/{camera}", response_model=Camera, responses=problem_responses(404))
+@router.get("/{camera}", response_model=CameraAnswer, responses=problem_responses(404))
 async def camera_status(context: Context, camera: CameraName) -> CameraStatus:
     """Get the state and counters of a camera."""
     return _status_of(context, camera)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from pipeline.gradation.correlation import Form
+from pipeline.gradation.correlation import MappingForm
 from service.api.auth import Who, require
 from service.api.context import Context
 from service.api.pages import sieving_document, sievings_json
@@ -87,7 +87,9 @@ class StudyRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    form: Form = Field(default=Form.FACTOR, description="One factor for all sizes, or a rising mapping")
+    form: MappingForm = Field(
+        default=MappingForm.FACTOR, description="One factor for all sizes, or a rising mapping"
+    )
 
 
 class CorrelationDocument(BaseModel):
@@ -96,7 +98,7 @@ class CorrelationDocument(BaseModel):
     product: str = Field(description="Id of the product")
     version: int = Field(description="Number of the study, from 1")
     at: str = Field(description="When it was made, RFC 3339 UTC", json_schema_extra=TIME)
-    form: Form = Field(description="`factor`: one factor for all sizes; otherwise a rising mapping")
+    form: MappingForm = Field(description="`factor`: one factor for all sizes; otherwise a rising mapping")
     factor: float = Field(description="Sieve's size by the instrument's, mean of all sizes")
     instrument_mm: list[float] = Field(description="Knots of the mapping; one knot is one factor")
     sieve_mm: list[float] = Field(description="Sizes of the laboratory's sieves at the knots, mm")

@@ -41,7 +41,7 @@ class ProductsDocument(BaseModel):
     items: list[Product] = Field(description="Newest versions, by name")
 
 
-class Standards(BaseModel):
+class StandardsAnswer(BaseModel):
     """What can be named in a product."""
 
     sieve_sets: list[SieveSet] = Field(description="Sets of sieves")
@@ -63,10 +63,10 @@ async def list_products(context: Context) -> ProductsDocument:
     "/standards",
     dependencies=[Depends(require(Scope.READ))],
 )
-async def standards() -> Standards:
+async def standards() -> StandardsAnswer:
     """List the sieve sets and specifications that have a name."""
     sets = list(known_standards().sieve_sets.values())
-    return Standards(sieve_sets=sets, specifications=specification_names())
+    return StandardsAnswer(sieve_sets=sets, specifications=specification_names())
 
 
 @router.put(

@@ -23,16 +23,16 @@ RecordingName = Annotated[str, Path(pattern=NAME, description="Name of the recor
 STATUS_OF_REFUSAL = {Refusal.EXISTS: 409, Refusal.RUNNING: 409, Refusal.NO_ROOM: 507}
 
 
-class Recordings(BaseModel):
+class RecordingsAnswer(BaseModel):
     """All recordings, by name."""
 
     items: list[RecordingStatus] = Field(description="By name")
 
 
 @router.get("", dependencies=[Depends(require(Scope.READ))])
-async def recordings(context: Context) -> Recordings:
+async def recordings(context: Context) -> RecordingsAnswer:
     """List the recordings, including those that failed since the daemon was started."""
-    return Recordings(items=await context.control.recordings.all())
+    return RecordingsAnswer(items=await context.control.recordings.all())
 
 
 @router.post(

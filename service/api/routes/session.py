@@ -21,7 +21,7 @@ from service.api.session_cookies import (
     session_cookie,
     set_session_cookie,
 )
-from service.api.sessions import Key, Session
+from service.api.sessions import Key, SessionCookie
 from service.api.settings import Scope
 from service.base.schema import TIME
 
@@ -120,7 +120,7 @@ async def sign_out(request: Request, context: Context, asking: Asking) -> Respon
     return response
 
 
-def _document(key: Key, session: Session) -> SessionDocument:
+def _document(key: Key, session: SessionCookie) -> SessionDocument:
     expires_at = rfc3339(datetime.fromtimestamp(session.expires_s, UTC))
     if isinstance(key, StoredKey) and key.expires_at is not None:
         expires_at = min(expires_at, key.expires_at)

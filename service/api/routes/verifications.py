@@ -54,7 +54,7 @@ class ChartDocument(BaseModel):
     points: list[ChartPoint] = Field(description="Oldest first")
 
 
-class Verifications(BaseModel):
+class VerificationsAnswer(BaseModel):
     """All verifications, newest first, and what each must reach."""
 
     limits: VerificationParameters = Field(description="Section `[verification]` of the configuration")
@@ -65,10 +65,10 @@ class Verifications(BaseModel):
     "",
     dependencies=[Depends(require(Scope.READ))],
 )
-async def verifications(context: Context) -> Verifications:
+async def verifications(context: Context) -> VerificationsAnswer:
     """List the verifications, newest first."""
     known = context.control.calibrations.verifications
-    return Verifications(limits=known.parameters, items=known.all())
+    return VerificationsAnswer(limits=known.parameters, items=known.all())
 
 
 @router.post(

@@ -25,7 +25,7 @@ from pipeline.calibration import BallDrop, CalibrationReport, calibrate, observe
 from pipeline.calibration.paper import observe_centroids
 from pipeline.errors import CalibrationError
 from pipeline.evaluation.distance_picture import distance_picture
-from pipeline.evaluation.scene import Scene, build_scene, photograph_drop
+from pipeline.evaluation.scene import EvaluationScene, build_scene, photograph_drop
 from pipeline.evaluation.surface_distances import Surface
 from pipeline.evaluation.trials import METHODS, Measured, Method, Trial, random_body, try_body
 from pipeline.frames import Image
@@ -79,7 +79,7 @@ class BenchResult:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Summary:
+class AccuracySummary:
     """Averages over the trials of one body, rig and method, without failures; mm and percent."""
 
     body: str
@@ -178,7 +178,7 @@ def picture_name(body: str, rig: str, method: str) -> str:
     return f"{body}-{rig}-{method}.png".replace(" ", "-").translate(str.maketrans("", "", "',"))
 
 
-def summarize(trials: Sequence[Trial], body: str | None = None) -> list[Summary]:
+def summarize(trials: Sequence[Trial], body: str | None = None) -> list[AccuracySummary]:
     """Return a summary for each body, rig and method, in the order of the trials; `body` is one name for all bodies."""
     groups: dict[tuple[str, str, Method], list[Trial]] = {}
     for trial in trials:
@@ -186,7 +186,7 @@ def summarize(trials: Sequence[Trial], body: str | None = None) -> list[Summary]
     return [_summary(*key, group) for key, group in groups.items()]
 
 
-def _summary(body: str, rig: str, method: Method, trials: Sequence[Trial]) -> Summary:
+def _summary(body: str, rig: str, method: Method, trials: Sequence[Trial]) -> AccuracySummary:
     distances = [trial.distances for trial in trials if trial.distances is not None]
     errors = [trial.errors for trial in trials if trial.errors is not None]
 
@@ -197,7 +197,7 @@ def _summary(body: str, rig: str, method: Method, trials: Sequence[Trial]) -> Su
     def rms(values: Iterable[float]) -> float:
         return sqrt(average(value**2 for value in values))
 
-    return Summary(
+    return AccuracySummary(
         body=body,
         rig=rig,
         method=method,
@@ -232,7 +232,7 @@ def _use_one_thread() -> None:
 
 
 @cache
-def _scene(seed: int, lens: LensPreset) -> Scene:
+def _scene(seed: int, lens: LensPreset) -> EvaluationScene:
     """Return the scene, which is built once in each process and is equal in all."""
     return build_scene(seed, exposure=LENS_PRESETS[lens])
 

@@ -5,7 +5,13 @@ from rich.table import Table
 from pipeline.evaluation.scene import rig_error
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.stones import STONE_FORMS
-from service.commands.benchmarks.accuracy import CALIBRATIONS, BenchPlan, BenchResult, Summary, summarize
+from service.commands.benchmarks.accuracy import (
+    CALIBRATIONS,
+    AccuracySummary,
+    BenchPlan,
+    BenchResult,
+    summarize,
+)
 from service.commands.benchmarks.paper import PUBLISHED_MM, STONES
 
 
@@ -59,7 +65,7 @@ def size_table(plan: BenchPlan, result: BenchResult) -> Table:
     return table
 
 
-def summaries_of(plan: BenchPlan, result: BenchResult) -> dict[str, list[Summary]]:
+def summaries_of(plan: BenchPlan, result: BenchResult) -> dict[str, list[AccuracySummary]]:
     """Return the averages of each body, and of all stones together if there are several classes."""
     summaries = {name: summarize([t for t in result.trials if t.body == name]) for name in plan.poses}
     stones = [trial for trial in result.trials if trial.body in STONE_FORMS]
@@ -68,17 +74,17 @@ def summaries_of(plan: BenchPlan, result: BenchResult) -> dict[str, list[Summary
     return summaries
 
 
-def _n_measured(summary: Summary) -> int:
+def _n_measured(summary: AccuracySummary) -> int:
     return summary.n - sum(summary.failures.values())
 
 
-def _head(summary: Summary) -> list[str]:
+def _head(summary: AccuracySummary) -> list[str]:
     n_measured = _n_measured(summary)
     count = str(summary.n) if n_measured == summary.n else f"{n_measured} of {summary.n}"
     return [summary.rig, summary.method, count]
 
 
-def _cells(summary: Summary) -> list[str]:
+def _cells(summary: AccuracySummary) -> list[str]:
     if _n_measured(summary) == 0:
         return [*_head(summary), "-"]
     return [
@@ -95,7 +101,7 @@ def _cells(summary: Summary) -> list[str]:
     ]
 
 
-def _size_cells(summary: Summary) -> list[str]:
+def _size_cells(summary: AccuracySummary) -> list[str]:
     return [
         f"{bias_mm:+.3f}, {rms_mm:.3f}"
         for bias_mm, rms_mm in (

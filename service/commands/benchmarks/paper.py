@@ -22,10 +22,10 @@ from pipeline.frames import Image
 from pipeline.rig.cameras import CameraCalibration
 from pipeline.synthesis.stones import STONE_FORMS
 from service.commands.benchmarks.accuracy import (
+    AccuracySummary,
     BenchPlan,
     BenchResult,
     RigName,
-    Summary,
     picture_name,
     summarize,
 )
@@ -128,7 +128,7 @@ def isolevel_table(result: BenchResult) -> Table:
     table.add_column("body", no_wrap=True)
     for isolevel in sorted(ISOLEVELS.values()):
         table.add_column(f"{isolevel:g}", justify="right")
-    by_body: dict[str, dict[Method, Summary]] = {}
+    by_body: dict[str, dict[Method, AccuracySummary]] = {}
     for body in (*STANDARDS, *STONE_FORMS):
         for each in summarize([trial for trial in result.trials if trial.body == body]):
             by_body.setdefault(body, {})[each.method] = each

@@ -21,7 +21,7 @@ import numpy as np
 from drivers.files.recording import write_bundle
 from drivers.files.rig_file import write_rig
 from pipeline.carving import carve
-from pipeline.evaluation.scene import BODY, Scene, build_scene
+from pipeline.evaluation.scene import BODY, EvaluationScene, build_scene
 from pipeline.frames import FrameBundle
 from pipeline.measuring.solid import solid_of
 from pipeline.meshing import mesh_hull
@@ -145,7 +145,7 @@ def _summary(size_mm: float, stones: list[StoneTimes]) -> SizeTimes:
 
 
 @cache
-def _scene(folder: Path, seed: int) -> Scene:
+def _scene(folder: Path, seed: int) -> EvaluationScene:
     """Return the scene, and write rig and background to the folder."""
     scene = build_scene(seed)
     write_rig(folder / "rig.json", scene.true_rig)
@@ -199,7 +199,9 @@ def processor_gflops() -> float:
     return 2e-9 * MATRIX_SIZE**3 / min(times_s)
 
 
-def measured(bundle: FrameBundle, scene: Scene, body: BodyKind) -> tuple[dict[str, float], ParticleResult]:
+def measured(
+    bundle: FrameBundle, scene: EvaluationScene, body: BodyKind
+) -> tuple[dict[str, float], ParticleResult]:
     """Return the processor time of each stage in this worker, ms, and the result."""
     worker = this_worker()
     stages_ms: dict[str, float] = {}
@@ -216,7 +218,7 @@ def measured(bundle: FrameBundle, scene: Scene, body: BodyKind) -> tuple[dict[st
     return stages_ms, result
 
 
-def mesh_ms(bundle: FrameBundle, scene: Scene) -> float:
+def mesh_ms(bundle: FrameBundle, scene: EvaluationScene) -> float:
     """Return the processor time, ms, from silhouettes without distance fields to the hull's mesh and its integrals."""
     silhouettes = segment_all(bundle.frames, scene.background, this_worker().segmenter)
     start_s = time.process_time()
@@ -228,7 +230,7 @@ def mesh_ms(bundle: FrameBundle, scene: Scene) -> float:
     return 1000 * (time.process_time() - start_s)
 
 
-def _whole_way(folder: Path, name: str, bundle: FrameBundle, scene: Scene) -> tuple[float, float]:
+def _whole_way(folder: Path, name: str, bundle: FrameBundle, scene: EvaluationScene) -> tuple[float, float]:
     """Return the time from the bundle's file to the durable result, ms, by the clock and of the processor."""
     job = MeasureJob(
         bundle_path=folder / f"{name}.tiff",

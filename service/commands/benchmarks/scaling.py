@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from drivers.files.recording import write_bundle
 from drivers.files.rig_file import write_rig
 from pipeline.carving import CarvingParameters, carve
-from pipeline.evaluation.scene import BODY, Scene, build_scene
+from pipeline.evaluation.scene import BODY, EvaluationScene, build_scene
 from pipeline.frames import CameraId, FrameBundle
 from pipeline.measuring.solid import solid_of
 from pipeline.meshing import mesh_hull
@@ -125,7 +125,7 @@ def spread(rig: RigCalibration, n_views: int) -> tuple[CameraId, ...]:
     return tuple(rig.cameras[place].id for place in chosen)
 
 
-def _photographed(scene: Scene, size_mm: float) -> FrameBundle:
+def _photographed(scene: EvaluationScene, size_mm: float) -> FrameBundle:
     rng = stream(scene.seed, BODY)
     return scene.photograph(tumble(stone(FORM, size_mm, rng), scene.true_rig, rng), rng, FORM)
 
@@ -148,7 +148,7 @@ def _alone(size_mm: float, repeat: int, seed: int) -> tuple[list[GridTimes], lis
     return [_time_grid(silhouettes, rig, n, repeat) for n in GRIDS], views
 
 
-def _time_views(bundle: FrameBundle, scene: Scene, repeat: int) -> ViewTimes:
+def _time_views(bundle: FrameBundle, scene: EvaluationScene, repeat: int) -> ViewTimes:
     runs = [measured(bundle, scene, "estimate")[0] for _ in range(repeat + 1)][1:]
     return ViewTimes(n_views=len(bundle.frames), stages_ms=_medians(runs))
 

@@ -19,7 +19,7 @@ from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, ball
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.placement import drop_across, tumble
-from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, simulate_rig
+from pipeline.synthesis.renderer import PlacedBody, RenderedRig, simulate_rig
 from pipeline.synthesis.stones import STONE_FORMS, stone
 from service.results.version import ALGORITHM_VERSION
 
@@ -73,7 +73,7 @@ def _write(path: Path, kind: RehearsedRecording) -> None:
             writer.add(bundle)
 
 
-def _falling(kind: RehearsedRecording, rig: RigCalibration, simulated: SimulatedRig) -> Iterator[FrameBundle]:
+def _falling(kind: RehearsedRecording, rig: RigCalibration, simulated: RenderedRig) -> Iterator[FrameBundle]:
     for number in range(N_STONES):
         body = _stone(number)
         yield _bundle([tumble(body, rig, stream(SEED, 4, number))], simulated, number, body.name)
@@ -96,7 +96,7 @@ def _falling(kind: RehearsedRecording, rig: RigCalibration, simulated: Simulated
     yield _bundle([], simulated, N_STONES + 1, "nothing")
 
 
-def _bundle(bodies: list[PlacedBody], simulated: SimulatedRig, number: int, label: str) -> FrameBundle:
+def _bundle(bodies: list[PlacedBody], simulated: RenderedRig, number: int, label: str) -> FrameBundle:
     rng = stream(SEED, 5, number)
     return render_bundle(bodies, simulated, rng, sequence=N_EMPTY + 1 + number, label=label)
 

@@ -13,7 +13,7 @@ from service.commands.rehearsal.recordings import RehearsedRecording
 FOLDER = Path(__file__).parent / "scripts"
 
 
-class Step(BaseModel):
+class ScriptStep(BaseModel):
     """What is done, what is said of it, and the arguments of the deed: a method of `Day`."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
@@ -32,7 +32,7 @@ class Script:
 
     name: str
     title: str
-    steps: tuple[Step, ...]
+    steps: tuple[ScriptStep, ...]
     is_gige: bool = (
         False  # sixteen simulated GigE cameras; otherwise a recording is replayed, which needs no package
     )

@@ -31,12 +31,12 @@ from service.remeasuring.cluster.tasks import (
     CONTEXT,
     Answer,
     ClusterJob,
-    Delivered,
     Failed,
+    MeasuredFiles,
     Missing,
     Unfit,
     Unreadable,
-    Unseen,
+    UnseenFileError,
     installed_versions,
     keep,
     measure_here,
@@ -160,14 +160,14 @@ class ClusterPool:
             background=None if background is None else background.digest,
             versions=installed_versions(),
         )
-        answer = await self._answer(task, contents) if self._frames_are_seen else Unseen()
-        if isinstance(answer, Unseen):
+        answer = await self._answer(task, contents) if self._frames_are_seen else UnseenFileError()
+        if isinstance(answer, UnseenFileError):
             self._frames_are_seen = False
             async with self._room_for_frames:
                 frames = await asyncio.to_thread(job.bundle_path.read_bytes)
                 answer = await self._answer(replace(task, frames=frames), contents)
         match answer:
-            case Delivered(measured, files):
+            case MeasuredFiles(measured, files):
                 await asyncio.to_thread(_write, job.out_dir, files)
                 return measured
             case Failed(reason, detail):

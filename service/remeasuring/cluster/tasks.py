@@ -65,7 +65,7 @@ class ClusterJob:
 
 
 @dataclass(frozen=True, slots=True)
-class Delivered:
+class MeasuredFiles:
     """A measured bundle, and its files by name."""
 
     measured: MeasuredBundle
@@ -81,7 +81,7 @@ class Missing:
 
 
 @dataclass(frozen=True, slots=True)
-class Unseen:
+class UnseenFileError:
     """A worker does not see the bundle's file, or sees another one under its name."""
 
 
@@ -108,7 +108,7 @@ class Unfit:
     detail: str
 
 
-Answer = Delivered | Missing | Unseen | Failed | Unreadable | Unfit
+Answer = MeasuredFiles | Missing | UnseenFileError | Failed | Unreadable | Unfit
 
 _pools: dict[str, RestingPool] = {}
 """Pools of this worker, by the digest of their context."""
@@ -138,10 +138,10 @@ async def measure_here(job: ClusterJob) -> Answer:
     try:
         path = await asyncio.to_thread(_bundle_path, job, folder)
         if path is None:
-            return Unseen()
+            return UnseenFileError()
         pool = await _pool(job.context, kept[job.context], worker)
         measured = await pool.run(measure, _measure_job(job, path, kept, folder / "out"))
-        return Delivered(measured, await asyncio.to_thread(_files, folder / "out"))
+        return MeasuredFiles(measured, await asyncio.to_thread(_files, folder / "out"))
     except RecordingError as err:
         return Unreadable(err.problem)
     except JobLostError as err:

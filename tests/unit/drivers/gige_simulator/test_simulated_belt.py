@@ -14,7 +14,7 @@ from support.recordings import CAMERAS, make_bundle, tagged_image, write_recordi
 from drivers.files.recording import BundleHeader, Recording, open_recording
 from drivers.gige_simulator.belt import Belt
 from drivers.gige_simulator.camera import Exposure
-from drivers.gige_simulator.hopper import PULSE_WIDTH_NS, Fall, Hopper, read_fall
+from drivers.gige_simulator.hopper import PULSE_WIDTH_NS, Drop, Hopper, read_fall
 from drivers.gige_simulator.sources import SIGHT_MS, Scene
 from pipeline.frames import BundleKind, CameraId, Image
 
@@ -29,14 +29,14 @@ def recording_path(tmp_path: Path) -> Path:
     return write_recording(tmp_path / "rec", [*stones, make_bundle(2, kind=BundleKind.BACKGROUND)])
 
 
-def taken(hopper: Hopper, n: int) -> list[Fall | None]:
+def taken(hopper: Hopper, n: int) -> list[Drop | None]:
     hopper.start()
     falls = [hopper.take() for _ in range(n)]
     hopper.close()
     return falls
 
 
-def shows(fall: Fall | None, number: int) -> bool:
+def shows(fall: Drop | None, number: int) -> bool:
     return fall is not None and np.array_equal(fall.images[CAMERA], tagged_image(number, CAMERA))
 
 
@@ -74,7 +74,7 @@ class TestHopper:
         """Later the cameras need the processor."""
         unpacked = []
 
-        def unpack(header: BundleHeader, recording: Recording) -> Fall:
+        def unpack(header: BundleHeader, recording: Recording) -> Drop:
             unpacked.append(header.name)
             return read_fall(header, recording)
 
@@ -99,7 +99,7 @@ class Ground:
         self.edges_ns: list[int] = []
         self.arrived = threading.Semaphore(0)
 
-    def drop(self, fall: Fall, edge_ns: int) -> None:
+    def drop(self, fall: Drop, edge_ns: int) -> None:
         self.edges_ns.append(edge_ns)
         self.arrived.release()
 

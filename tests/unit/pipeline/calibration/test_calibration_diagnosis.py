@@ -9,14 +9,14 @@ from support.extents import first_quick
 
 from pipeline.calibration.diagnosis import diagnose_before
 from pipeline.calibration.drops import BallDrop
-from pipeline.errors import Problem
+from pipeline.errors import CalibrationProblem
 from pipeline.frames import CameraId
 from pipeline.rig.design import as_built, nominal_rig
 
 C03, C07, C11 = CameraId("c03"), CameraId("c07"), CameraId("c11")
 
 
-def problems_of(drops: Sequence[BallDrop]) -> dict[str, Problem]:
+def problems_of(drops: Sequence[BallDrop]) -> dict[str, CalibrationProblem]:
     return {problem.code: problem for problem in diagnose_before(drops, nominal_rig())}
 
 

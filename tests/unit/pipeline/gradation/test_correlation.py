@@ -7,7 +7,7 @@ import pytest
 from support.stones import lot_of_sizes
 
 from pipeline.arrays import Values
-from pipeline.gradation.correlation import Form, SievedLot, correlated, study
+from pipeline.gradation.correlation import MappingForm, SievedLot, correlated, study
 from pipeline.gradation.evaluation import evaluate
 
 SIEVES_MM = (5.6, 8.0, 10.0, 11.2, 12.5, 14.0, 16.0, 20.0, 22.4, 31.5)
@@ -30,7 +30,7 @@ def sieved_lots(n: int, sieve_of: Callable[[Values], Values], seed: int = 1) -> 
 
 
 def test_vector_g4() -> None:
-    found = study(sieved_lots(8, lambda sizes_mm: 0.97 * sizes_mm), Form.FACTOR)
+    found = study(sieved_lots(8, lambda sizes_mm: 0.97 * sizes_mm), MappingForm.FACTOR)
     assert found.mapping.factor == pytest.approx(0.97, rel=0.005)
     (relative_se,) = found.mapping.relative_se
     assert relative_se is not None
@@ -45,7 +45,7 @@ def test_vector_g4() -> None:
 
 def test_a_monotone_mapping_is_better_where_the_factor_depends_on_the_size() -> None:
     lots = sieved_lots(8, lambda sizes_mm: sizes_mm * (0.93 + 0.005 * sizes_mm))
-    factor, monotone = study(lots, Form.FACTOR), study(lots, Form.MONOTONE)
+    factor, monotone = study(lots, MappingForm.FACTOR), study(lots, MappingForm.MONOTONE)
     assert factor.held_out_rmse is not None
     assert monotone.held_out_rmse is not None
     assert monotone.held_out_rmse < 0.7 * factor.held_out_rmse
@@ -56,26 +56,26 @@ def test_a_monotone_mapping_is_better_where_the_factor_depends_on_the_size() -> 
 
 def test_a_lot_that_behaves_otherwise_shows_on_held_out_lots() -> None:
     lots = sieved_lots(3, lambda sizes_mm: sizes_mm) + sieved_lots(1, lambda sizes_mm: 0.8 * sizes_mm, seed=2)
-    found = study(lots, Form.MONOTONE)
+    found = study(lots, MappingForm.MONOTONE)
     assert found.held_out_rmse is not None
     assert found.held_out_rmse > found.rmse
 
 
 def test_one_lot_is_no_validation() -> None:
-    found = study(sieved_lots(1, lambda sizes_mm: 0.97 * sizes_mm), Form.FACTOR)
+    found = study(sieved_lots(1, lambda sizes_mm: 0.97 * sizes_mm), MappingForm.FACTOR)
     assert found.held_out_rmse is None
     assert found.mapping.relative_se == (None,)
 
 
 def test_lots_are_correlated_stone_by_stone() -> None:
     (sieved,) = sieved_lots(1, lambda sizes_mm: 0.97 * sizes_mm)
-    mapping = study([sieved], Form.FACTOR).mapping
+    mapping = study([sieved], MappingForm.FACTOR).mapping
     sizes_mm = sieved.lot.column("sieve_size_mm")
     assert correlated(sieved.lot, mapping).column("sieve_size_mm") == pytest.approx(mapping.factor * sizes_mm)
 
 
 def test_curves_without_a_steep_part_are_refused() -> None:
     lot = lot_of_sizes(np.full(10, 8.0))
-    for form in Form:
+    for form in MappingForm:
         with pytest.raises(ValueError, match="between 5 and 95 %"):
             study([SievedLot(lot=lot, passing={4.0: 0.0, 16.0: 100.0})], form)

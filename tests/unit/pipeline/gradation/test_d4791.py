@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from support.extents import examples
 from support.stones import box, round_stone
 
-from pipeline.gradation.d4791 import D4791, Form, FormFraction
+from pipeline.gradation.d4791 import D4791, FormFraction, ParticleForm
 from pipeline.gradation.estimates import State
 from pipeline.gradation.estimators import Basis
 from pipeline.gradation.evaluation import evaluate
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
 from pipeline.gradation.stones import MEASURES, Lot, Stone, lot_of, merge
 
-BOTH = Form.FLAT_AND_ELONGATED
+BOTH = ParticleForm.FLAT_AND_ELONGATED
 SIEVES = (4.75, 9.5, 12.5, 19.0, 25.0)
 
 
@@ -43,7 +43,7 @@ BY_HAND = [
 def test_vector_f3() -> None:
     found = d4791([box((10.0, 20.0, 40.0), 20.0)]).whole
     for basis in Basis:
-        assert found[Form.FLAT][3][basis].value == found[Form.ELONGATED][3][basis].value == 0
+        assert found[ParticleForm.FLAT][3][basis].value == found[ParticleForm.ELONGATED][3][basis].value == 0
         assert found[BOTH][3][basis].value == 100
         assert found[BOTH][5][basis].value == 0
 
@@ -82,7 +82,7 @@ def test_a_stone_as_large_as_a_sieve_is_in_the_fraction_below_it() -> None:
 def test_only_fractions_that_are_measured_whole_are_tested() -> None:
     found = d4791(BY_HAND, MeasuredRange(min_mm=4.0, max_mm=18.0))
     assert [each.size.max_mm for each in found.fractions] == [12.5]
-    for form in Form:
+    for form in ParticleForm:
         for basis in Basis:
             assert found.weighted[form][3][basis].value == found.fractions[0].shares[form][3][basis].value
 
@@ -139,7 +139,7 @@ def test_merged_equals_the_batch_to_the_last_digit(stones: list[Stone], cut: int
 def test_the_mean_is_that_of_the_fractions_and_within_its_interval(stones: list[Stone]) -> None:
     found = d4791(stones)
     masses = [each.mass_percent for each in found.fractions]
-    for form in Form:
+    for form in ParticleForm:
         for basis in Basis:
             mean = found.weighted[form][3][basis]
             parts = [each.shares[form][3][basis].value for each in found.fractions]

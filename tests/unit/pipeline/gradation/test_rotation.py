@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from support.extents import examples
 
 from pipeline.arrays import Matrix33
-from pipeline.gradation.d4791 import Form
+from pipeline.gradation.d4791 import ParticleForm
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.estimators import Basis
 from pipeline.gradation.evaluation import Gradation, evaluate
@@ -59,7 +59,7 @@ def figures(of: Gradation) -> dict[str, Estimate]:
     shares |= {f"number passing {point.sieve_mm:g} mm": point.by_number for point in of.curve}
     shares |= {"flakiness": of.indices.flakiness, "shape": of.indices.shape}
     return shares | {
-        f"flat and elongated {basis}": of.indices.d4791.whole[Form.FLAT_AND_ELONGATED][3][basis]
+        f"flat and elongated {basis}": of.indices.d4791.whole[ParticleForm.FLAT_AND_ELONGATED][3][basis]
         for basis in Basis
     }
 

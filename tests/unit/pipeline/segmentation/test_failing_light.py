@@ -19,7 +19,7 @@ from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import sphere
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.disturbance import Disturbance, dust
-from pipeline.synthesis.renderer import SimulatedRig, simulate_rig
+from pipeline.synthesis.renderer import RenderedRig, simulate_rig
 from service.health.optical_watch import MIN_EXPOSURES, OpticalParameters, OpticalWatch, Severity
 from service.results.record import optics_record
 
@@ -40,15 +40,15 @@ def rig() -> RigCalibration:
 
 
 @cache
-def simulated() -> SimulatedRig:
+def simulated() -> RenderedRig:
     return simulate_rig(rig(), stream(7, 0))
 
 
 @cache
-def one_camera() -> SimulatedRig:
+def one_camera() -> RenderedRig:
     """Return the rig with the dirty camera alone, in the same housing."""
     whole = simulated()
-    return SimulatedRig(
+    return RenderedRig(
         rig=whole.rig.subset([DIRTY]), backgrounds=whole.backgrounds, parameters=whole.parameters
     )
 

@@ -11,7 +11,7 @@ from support.networks import GPU, OnGpu, darkness_network, difference_network, s
 
 from pipeline.arrays import Singles
 from pipeline.errors import ModelError
-from pipeline.segmentation.network import CPU, Session, load_network, start_session
+from pipeline.segmentation.network import CPU, InferenceSession, load_network, start_session
 from pipeline.segmentation.onnx_runtime import runtime_errors
 from pipeline.segmentation.u2net import saliency, u2net_input
 
@@ -91,7 +91,7 @@ def test_refused_with_what_was_expected(content: bytes, said: str) -> None:
 
 
 def test_out_of_memory_at_the_start_goes_on_on_the_cpu() -> None:
-    def start(model: bytes, providers: Sequence[str]) -> Session:
+    def start(model: bytes, providers: Sequence[str]) -> InferenceSession:
         if providers[0] == GPU:
             raise runtime_errors.RuntimeException("CUDA failure 2: out of memory")
         return start_session(model, providers)
@@ -114,7 +114,7 @@ def test_out_of_memory_in_a_run_goes_on_on_the_cpu() -> None:
 
 
 def test_a_provider_that_does_not_start_is_told() -> None:
-    def start(model: bytes, providers: Sequence[str]) -> Session:
+    def start(model: bytes, providers: Sequence[str]) -> InferenceSession:
         return start_session(model, (CPU,))  # as onnxruntime does when libraries are missing
 
     network = load_network(difference_network(), (GPU,), start=start)

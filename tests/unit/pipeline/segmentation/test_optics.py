@@ -34,7 +34,7 @@ from pipeline.synthesis.bodies import sphere
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.disturbance import UNDISTURBED, Disturbance, dimmed_sector, dust, flicker
 from pipeline.synthesis.exposure import ExposureParameters
-from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, photograph, simulate_rig
+from pipeline.synthesis.renderer import PlacedBody, RenderedRig, photograph, simulate_rig
 
 C05 = CameraId("c05")
 RIG = rendered.rig()
@@ -45,7 +45,7 @@ STILL = ExposureParameters(exposure_us=0.0, flash_sd=0.0, camera_flash_sd=0.0)
 
 
 @cache
-def view() -> SimulatedRig:
+def view() -> RenderedRig:
     """One camera of the rig, flashes always equal, nothing moves."""
     return simulate_rig(RIG.subset([C05]), stream(5, 0), STILL)
 
@@ -54,7 +54,7 @@ def exposed(
     *bodies: PlacedBody,
     number: int = 0,
     trouble: Disturbance = UNDISTURBED,
-    simulated: SimulatedRig | None = None,
+    simulated: RenderedRig | None = None,
 ) -> Frame:
     images = photograph(bodies, simulated or view(), stream(5, 1, number), {C05: trouble})
     return Frame(camera=C05, image=images[C05], frame_id=number, device_ns=0, received_ns=0)
@@ -74,7 +74,7 @@ def of_empty(trouble: Disturbance) -> ViewOptics:
     return optics
 
 
-def of_sphere(simulated: SimulatedRig | None = None, trouble: Disturbance = UNDISTURBED) -> ViewOptics:
+def of_sphere(simulated: RenderedRig | None = None, trouble: Disturbance = UNDISTURBED) -> ViewOptics:
     frame = exposed(rendered.placed(sphere(), CENTER_MM), number=1, simulated=simulated, trouble=trouble)
     optics = observe_optics(frame, background(), truth())
     assert optics is not None

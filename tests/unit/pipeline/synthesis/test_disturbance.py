@@ -20,13 +20,13 @@ from pipeline.synthesis.disturbance import (
     dust,
     flicker,
 )
-from pipeline.synthesis.renderer import SimulatedRig, View, illuminate, photograph, simulate_rig, view_of
+from pipeline.synthesis.renderer import RenderedRig, View, illuminate, photograph, simulate_rig, view_of
 
 SIZE_PX = (1280, 1024)
 
 
 @cache
-def simulated() -> SimulatedRig:
+def simulated() -> RenderedRig:
     """Two cameras of the rig."""
     rig = rendered.rig()
     return simulate_rig(rig.subset(rig.camera_ids[5:7]), np.random.default_rng(1))

@@ -12,17 +12,17 @@ from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, ball, cube, sphere
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream, without_views
 from pipeline.synthesis.placement import tumble
-from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, simulate_rig
+from pipeline.synthesis.renderer import PlacedBody, RenderedRig, simulate_rig
 from pipeline.synthesis.stones import stone
 from pipeline.synthesis.truth import truth_of, truth_to_document
 
 
 @pytest.fixture(scope="module")
-def simulated() -> SimulatedRig:
+def simulated() -> RenderedRig:
     return simulate_rig(rig_of("c01", "c06", "c11", binning=8), np.random.default_rng(0), QUIET)
 
 
-def test_frames_arrive_after_the_fall_the_exposure_and_the_transfer(simulated: SimulatedRig) -> None:
+def test_frames_arrive_after_the_fall_the_exposure_and_the_transfer(simulated: RenderedRig) -> None:
     moving = replace(simulated, parameters=replace(QUIET, exposure_us=500))
     bundle = render_bundle([upright(sphere())], moving, stream(0, 1), sequence=9, label="sphere")
     assert bundle.name == "000009-sphere"
@@ -50,7 +50,7 @@ def on_edge(body: Body) -> PlacedBody:
     ),
 )
 def test_the_beam_is_closed_while_a_body_falls_by_its_extent(
-    simulated: SimulatedRig, bodies: list[PlacedBody], extent_mm: float
+    simulated: RenderedRig, bodies: list[PlacedBody], extent_mm: float
 ) -> None:
     widths_ns = [
         render_bundle(bodies, simulated, stream(seed), sequence=1).trigger.pulse_width_ns for seed in range(9)
@@ -61,7 +61,7 @@ def test_the_beam_is_closed_while_a_body_falls_by_its_extent(
     assert render_bundle([], simulated, stream(0), sequence=1).trigger.pulse_width_ns is None
 
 
-def test_counters_and_clocks_run_on_from_bundle_to_bundle(simulated: SimulatedRig) -> None:
+def test_counters_and_clocks_run_on_from_bundle_to_bundle(simulated: RenderedRig) -> None:
     bundles = [render_empty(simulated, stream(0, i), sequence=i) for i in range(134, 138)]
     assert [bundle.trigger.utc for bundle in bundles[:2]] == [
         "2026-01-01T00:00:33.250Z",
@@ -76,7 +76,7 @@ def test_counters_and_clocks_run_on_from_bundle_to_bundle(simulated: SimulatedRi
         assert np.abs(steps_ns - 250_000_000).max() <= 1000
 
 
-def test_lost_views_are_named(simulated: SimulatedRig) -> None:
+def test_lost_views_are_named(simulated: RenderedRig) -> None:
     bundle = without_views(render_empty(simulated, stream(0, 1), sequence=1), [CameraId("c06")], "no frame")
     assert set(bundle.frames) == {"c01", "c11"}
     assert bundle.missing == {"c06": "no frame"}
@@ -110,7 +110,7 @@ def test_a_body_larger_than_the_view_is_still_placed() -> None:
     assert np.abs(placed.offset_mm).max() <= 4.5
 
 
-def test_the_truth_is_that_of_the_photographed_body(simulated: SimulatedRig) -> None:
+def test_the_truth_is_that_of_the_photographed_body(simulated: RenderedRig) -> None:
     rng = stream(0, 3)
     placed = tumble(ball(), simulated.rig, rng)
     bundle = render_bundle([placed], simulated, rng, sequence=2, label="ball")

@@ -13,29 +13,29 @@ from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.background import DOT_RADIUS_MM, build_wall, render_backgrounds
 from pipeline.synthesis.bodies import ball, cube, cylinder, sphere
 from pipeline.synthesis.exposure import ExposureParameters, blur_kernel, expose
-from pipeline.synthesis.renderer import PlacedBody, SimulatedRig, photograph, simulate_rig
+from pipeline.synthesis.renderer import PlacedBody, RenderedRig, photograph, simulate_rig
 from pipeline.synthesis.stones import stone
 
 C05, C07 = CameraId("c05"), CameraId("c07")
 
 
-def simulated(rig: RigCalibration, parameters: ExposureParameters = QUIET, seed: int = 0) -> SimulatedRig:
+def simulated(rig: RigCalibration, parameters: ExposureParameters = QUIET, seed: int = 0) -> RenderedRig:
     return simulate_rig(rig, np.random.default_rng(seed), parameters)
 
 
 @pytest.fixture(scope="module")
-def full() -> SimulatedRig:
+def full() -> RenderedRig:
     """One camera at full resolution."""
     return simulated(rig_of("c05"))
 
 
 @pytest.fixture(scope="module")
-def coarse() -> SimulatedRig:
+def coarse() -> RenderedRig:
     """Two cameras in opposite quarters, 320 x 256."""
     return simulated(rig_of("c05", "c07", binning=4))
 
 
-def darkening(rig: SimulatedRig, placed: PlacedBody) -> NDArray[np.float64]:
+def darkening(rig: RenderedRig, placed: PlacedBody) -> NDArray[np.float64]:
     """Return the covered share of each pixel of the first camera: a black body absorbs all light."""
     black = replace(placed, body=replace(placed.body, grey=0.0))
     image = photograph([black], rig, np.random.default_rng(0))[C05]
@@ -52,7 +52,7 @@ def moments(weights: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
     return centroid, np.array(spread)
 
 
-def test_the_half_way_contour_is_the_outline(full: SimulatedRig) -> None:
+def test_the_half_way_contour_is_the_outline(full: RenderedRig) -> None:
     covered = darkening(full, upright(sphere()))
     contour = max(skimage.measure.find_contours(covered, 0.5), key=len)
     center = full.rig.cameras[0].K[[1, 0], 2]
@@ -62,7 +62,7 @@ def test_the_half_way_contour_is_the_outline(full: SimulatedRig) -> None:
     assert radii_px.std() < 0.05
 
 
-def test_motion_blurs_along_the_fall_and_keeps_the_middle(full: SimulatedRig) -> None:
+def test_motion_blurs_along_the_fall_and_keeps_the_middle(full: RenderedRig) -> None:
     moving = replace(full, parameters=replace(QUIET, exposure_us=100))
     still_center, still_spread = moments(darkening(full, upright(ball())))
     center, spread = moments(darkening(moving, upright(ball())))
@@ -84,7 +84,7 @@ def test_the_kernel_has_the_variance_of_lens_and_motion(motion_uv: tuple[float, 
     assert (kernel * v**2).sum() == pytest.approx(0.49 + motion_uv[1] ** 2 / 12, rel=0.01)
 
 
-def test_edges_are_as_wide_as_the_lens_makes_them(full: SimulatedRig) -> None:
+def test_edges_are_as_wide_as_the_lens_makes_them(full: RenderedRig) -> None:
     """Across a straight edge the profile is an error function of the lens's and the pixel's width."""
     covered = darkening(full, upright(cube(), offset_mm=(0, 0, 0)))
     row = covered[512]
@@ -103,7 +103,7 @@ def test_equal_seeds_give_equal_pixels() -> None:
     assert not any(np.array_equal(images[0][camera], images[2][camera]) for camera in rig.camera_ids)
 
 
-def test_stones_are_dark_and_textured_on_a_bright_ground(coarse: SimulatedRig) -> None:
+def test_stones_are_dark_and_textured_on_a_bright_ground(coarse: RenderedRig) -> None:
     body = stone("irregular", 25, np.random.default_rng(3))
     lit = replace(coarse, parameters=ExposureParameters())
     image = photograph([upright(body)], lit, np.random.default_rng(0))[C05]
@@ -117,7 +117,7 @@ def test_stones_are_dark_and_textured_on_a_bright_ground(coarse: SimulatedRig) -
     assert image[ring].mean() == pytest.approx(inside.mean(), rel=0.25)
 
 
-def test_two_bodies_are_seen_apart(coarse: SimulatedRig) -> None:
+def test_two_bodies_are_seen_apart(coarse: RenderedRig) -> None:
     pair = [upright(ball(), (0, -9, 0)), upright(cylinder(), (0, 9, 0))]
     image = photograph(pair, coarse, np.random.default_rng(0))[C05]
     dark = (image < 100).astype(np.uint8)
@@ -125,7 +125,7 @@ def test_two_bodies_are_seen_apart(coarse: SimulatedRig) -> None:
     assert (stats[1:, cv2.CC_STAT_AREA] > 1000).sum() == 2
 
 
-def test_the_nearer_body_hides_the_farther(coarse: SimulatedRig) -> None:
+def test_the_nearer_body_hides_the_farther(coarse: RenderedRig) -> None:
     # c05 looks along (-1, 0, 0) turned by 45 degrees of azimuth, c07 from the other side
     toward = coarse.rig.cameras[0].center_mm / 300
     pale, dark = replace(ball(), grey=120.0), replace(ball(), grey=30.0)
@@ -150,13 +150,13 @@ def test_a_body_cut_by_the_border_is_the_same_where_it_is_seen() -> None:
     np.testing.assert_allclose(cut[:100], whole[120:220], atol=0.02)
 
 
-def test_a_body_beyond_the_view_leaves_it_empty(coarse: SimulatedRig) -> None:
+def test_a_body_beyond_the_view_leaves_it_empty(coarse: RenderedRig) -> None:
     empty = photograph([], coarse, np.random.default_rng(0))
     far = photograph([upright(ball(), (0, 0, 60))], coarse, np.random.default_rng(0))
     assert all(np.array_equal(empty[camera], far[camera]) for camera in empty)
 
 
-def test_empty_frames_share_their_pattern_and_differ_by_the_flash(coarse: SimulatedRig) -> None:
+def test_empty_frames_share_their_pattern_and_differ_by_the_flash(coarse: RenderedRig) -> None:
     flickering = replace(coarse, parameters=replace(QUIET, flash_sd=0.01))
     rng = np.random.default_rng(0)
     images = [photograph([], flickering, rng)[C05].astype(float) for _ in range(40)]

@@ -14,7 +14,7 @@ from pipeline.training.image_layers import (
     render_body,
     render_wall,
 )
-from pipeline.training.samples import NO_BACKGROUND_SHARE, Sample, Samples, compose
+from pipeline.training.samples import NO_BACKGROUND_SHARE, Samples, TrainingSample, compose
 
 N_SAMPLES = 150
 
@@ -30,7 +30,7 @@ def walls() -> list[WallLayer]:
 
 
 @cache
-def samples() -> list[Sample]:
+def samples() -> list[TrainingSample]:
     return list(Samples(bodies=bodies(), walls=walls(), seed=6, count=N_SAMPLES))
 
 

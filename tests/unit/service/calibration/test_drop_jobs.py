@@ -20,7 +20,7 @@ from pipeline.particle import PipelineParameters
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from service.calibration.drop_files import ObservedDrop, read_drop, write_drop
-from service.calibration.drop_jobs import ObserveJob, Solution, SolveJob, observe, solve
+from service.calibration.drop_jobs import ObserveJob, Solved, SolveJob, observe, solve
 from service.calibration.plan import Method
 from service.processing import measure_job
 from service.processing.background_files import write_background
@@ -93,7 +93,7 @@ def solution_of(
     initial: RigCalibration,
     method: Method,
     diameters_mm: tuple[float, ...] = (10.0,),
-) -> Solution:
+) -> Solved:
     paths = []
     for number, drop in enumerate(drops):
         paths.append(folder / f"{number:03d}.npz")

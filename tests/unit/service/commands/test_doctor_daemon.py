@@ -4,10 +4,10 @@ import pytest
 
 from service.commands import doctor_daemon
 from service.commands.doctor_daemon import check_daemon
-from service.host.finding import Verdict
+from service.host.finding import HostVerdict
 
 
-def verdicts(health: dict[str, object], monkeypatch: pytest.MonkeyPatch) -> dict[str, Verdict]:
+def verdicts(health: dict[str, object], monkeypatch: pytest.MonkeyPatch) -> dict[str, HostVerdict]:
     monkeypatch.setattr(doctor_daemon, "ask", lambda *_, **__: health)
     return {finding.subject: finding.verdict for finding in check_daemon("http://127.0.0.1:1", None)}
 
@@ -19,8 +19,8 @@ def test_only_what_is_an_alarm_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> No
         "camera:c03": {"status": "pass"},
     }
     health = {"ne107": "maintenance_required", "ready": True, "checks": checks}
-    assert verdicts(health, monkeypatch) == {"daemon": Verdict.GOOD}
+    assert verdicts(health, monkeypatch) == {"daemon": HostVerdict.GOOD}
     checks["camera:c03"] = {"status": "fail", "detail": "lost"}
-    assert verdicts(health, monkeypatch) == {"daemon": Verdict.FAULT, "camera:c03": Verdict.FAULT}
+    assert verdicts(health, monkeypatch) == {"daemon": HostVerdict.FAULT, "camera:c03": HostVerdict.FAULT}
     health |= {"checks": {}, "ready": False}
-    assert verdicts(health, monkeypatch) == {"daemon": Verdict.FAULT}
+    assert verdicts(health, monkeypatch) == {"daemon": HostVerdict.FAULT}

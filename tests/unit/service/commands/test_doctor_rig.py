@@ -4,7 +4,7 @@ import pytest
 
 from pipeline.frames import CameraId
 from service.commands.doctor_rig import judge_flash
-from service.host.finding import Finding, Verdict
+from service.host.finding import Finding, HostVerdict
 
 C1, C2, C3 = map(CameraId, ("c01", "c02", "c03"))
 
@@ -34,10 +34,10 @@ def test_the_light_must_come_from_the_flash(
 ) -> None:
     finding = judged(lit, unlit)
     assert finding.found == found
-    assert finding.verdict is (Verdict.FAULT if remedies else Verdict.GOOD)
+    assert finding.verdict is (HostVerdict.FAULT if remedies else HostVerdict.GOOD)
     assert [each for each in ("the wire", "daylight") if each in (finding.remedy or "")] == remedies
 
 
 def test_views_that_were_not_exposed_twice_are_not_compared() -> None:
-    assert judge_flash({C1: 150.0}, {C2: 150.0}).verdict is Verdict.UNKNOWN
+    assert judge_flash({C1: 150.0}, {C2: 150.0}).verdict is HostVerdict.UNKNOWN
     assert judge_flash({C1: 150.0, C2: 150.0}, {C1: 3.0}).found.startswith("all 1 views")

@@ -20,7 +20,7 @@ from service.commands import remeasure_on_cluster as module
 from service.commands.daemon_client import DaemonError
 from service.commands.measuring_pool import IN_FLIGHT
 from service.commands.remeasure_on_cluster import OrderingDaemon, remeasure_on_cluster
-from service.commands.remeasured_stones import Summary
+from service.commands.remeasured_stones import RemeasuredIds
 from service.processing.measure_job import MeasuredBundle, MeasureJob, RigFile, WorkerContext
 from service.processing.worker_pool import JobLostError
 from service.remeasuring.orders import Order
@@ -92,8 +92,8 @@ def pool(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> CountingPool:
     return pool
 
 
-async def remeasured(daemon: Any, names: list[str]) -> Summary:
-    summary, n_done = Summary(), 0
+async def remeasured(daemon: Any, names: list[str]) -> RemeasuredIds:
+    summary, n_done = RemeasuredIds(), 0
 
     def on_progress() -> None:
         nonlocal n_done

@@ -16,7 +16,7 @@ from support.eventually import PATIENCE_S
 from support.webhook_receiver import CERTIFICATE, NEVER, SECRET, Receiver, answer
 
 from service.delivery.posting import MAX_HEAD_BYTES, post
-from service.delivery.progress import Answer
+from service.delivery.progress import EndpointAnswer
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 
 LOOPBACK = ("127.0.0.0/8",)
@@ -29,13 +29,13 @@ def settings_of(url: str, hosts: tuple[str, ...] = ("127.0.0.1",), **more: Any) 
     return WebhooksSettings(allowed_hosts=hosts, endpoints=(endpoint,), **more)
 
 
-async def ask(settings: WebhooksSettings, body: bytes = b"{}") -> Answer:
+async def ask(settings: WebhooksSettings, body: bytes = b"{}") -> EndpointAnswer:
     (endpoint,) = settings.endpoints
     headers = {"webhook-id": "event-1", "webhook-timestamp": "1", "webhook-signature": "v1,x"}
     return await post(endpoint, settings, body, headers, endpoint.tls())
 
 
-async def ask_receiver(receiver: Receiver, **more: Any) -> Answer:
+async def ask_receiver(receiver: Receiver, **more: Any) -> EndpointAnswer:
     return await ask(settings_of(f"http://127.0.0.1:{receiver.port}/hook?site=3", **more))
 
 

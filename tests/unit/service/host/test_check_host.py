@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from service.commands.cli import build_app
 from service.host.check import check_host
-from service.host.finding import Finding, Verdict
+from service.host.finding import Finding, HostVerdict
 from service.host.host import Host, Ring, host_at
 from service.host.needs import CameraNetwork, HostNeeds
 
@@ -38,12 +38,12 @@ def tree(tmp_path: Path) -> Tree:
 
 def faults(tree: Tree, needs: HostNeeds = NEEDS) -> dict[str, Finding]:
     findings = check_host(host_at(tree.root), needs)
-    return {finding.subject: finding for finding in findings if finding.verdict is Verdict.FAULT}
+    return {finding.subject: finding for finding in findings if finding.verdict is HostVerdict.FAULT}
 
 
 def test_a_good_host_has_no_fault_and_nothing_unknown(tree: Tree) -> None:
     findings = check_host(host_at(tree.root), NEEDS)
-    assert {finding.verdict for finding in findings} == {Verdict.GOOD}
+    assert {finding.verdict for finding in findings} == {HostVerdict.GOOD}
     assert {finding.remedy for finding in findings} == {None}
     assert {name.format(port=CAMERAS_PORT) for name in FAULTS} <= {finding.subject for finding in findings}
 
@@ -69,21 +69,21 @@ def test_every_host_file_says_where_it_goes() -> None:
 def test_what_cannot_be_read_is_unknown_and_no_fault(tmp_path: Path) -> None:
     needs = replace(NEEDS, gate=None, network=replace(NETWORK, addresses=()))
     findings = {finding.subject: finding for finding in check_host(host_at(tmp_path), needs)}
-    assert findings["clock"].verdict is Verdict.FAULT  # there is no time service
-    assert findings["disk"].verdict is Verdict.GOOD  # the folder will be made on that file system
+    assert findings["clock"].verdict is HostVerdict.FAULT  # there is no time service
+    assert findings["disk"].verdict is HostVerdict.GOOD  # the folder will be made on that file system
     others = {subject for subject in findings if subject not in ("clock", "disk")}
-    assert {findings[subject].verdict for subject in others} == {Verdict.UNKNOWN}
+    assert {findings[subject].verdict for subject in others} == {HostVerdict.UNKNOWN}
 
 
 def test_what_the_kernel_says_counts_more_than_which_service_runs(tree: Tree) -> None:
-    for answer, verdict in ((False, Verdict.FAULT), (True, Verdict.GOOD)):
+    for answer, verdict in ((False, HostVerdict.FAULT), (True, HostVerdict.GOOD)):
         host = Host(
             tree.root, ring=lambda _: Ring(now=256, most=8192), is_synchronised=lambda now=answer: now
         )
         found = {finding.subject: finding for finding in check_host(host, NEEDS)}
         assert found["clock"].verdict is verdict
         ring = found[f"receive ring of {CAMERAS_PORT}"]
-        assert (ring.verdict, ring.found) == (Verdict.FAULT, "256 of 8192")
+        assert (ring.verdict, ring.found) == (HostVerdict.FAULT, "256 of 8192")
         assert f"ethtool -G {CAMERAS_PORT} rx 4096" in str(ring.remedy)
 
 

@@ -13,7 +13,7 @@ from pipeline.gradation.specification import Verdict
 from service.base.language import Language
 from service.lots.figures import CurveStep
 from service.reports.curve import BOTTOM, LEFT, RIGHT, TOP, gradation_curve, shown_steps, unmeasured_ranges
-from service.reports.drawing import Dot, Line, Style
+from service.reports.drawing import Dot, DrawnLine, Style
 from service.reports.svg import curve_svg, svg
 from service.reports.words import words
 
@@ -28,7 +28,7 @@ def parsed(text: str | bytes) -> ElementTree.Element:
 def points_of(steps: list[CurveStep], style: Style = Style.CURVE) -> list[tuple[float, float]]:
     """Return the points of all lines of a style."""
     drawing = gradation_curve(steps, ENGLISH)
-    lines = [shape for shape in drawing.shapes if isinstance(shape, Line) and shape.style is style]
+    lines = [shape for shape in drawing.shapes if isinstance(shape, DrawnLine) and shape.style is style]
     return [point for line in lines for point in line.points if point[1] <= BOTTOM]  # below is the legend
 
 
@@ -104,9 +104,9 @@ def test_what_was_not_measured_is_hatched_and_no_curve_runs_through_it() -> None
     ]
     assert list(unmeasured_ranges(steps, 0.9, 70)) == [(0.9, 4), (8, 16), (16, 70)]
     drawing = gradation_curve(steps, ENGLISH)
-    lines = [shape for shape in drawing.shapes if isinstance(shape, Line) and shape.style is Style.CURVE]
+    lines = [shape for shape in drawing.shapes if isinstance(shape, DrawnLine) and shape.style is Style.CURVE]
     assert sorted(len(line.points) for line in lines) == [1, 2, 2]  # the two of the legend, too
-    assert any(isinstance(shape, Line) and shape.style is Style.HATCH for shape in drawing.shapes)
+    assert any(isinstance(shape, DrawnLine) and shape.style is Style.HATCH for shape in drawing.shapes)
 
 
 def test_far_from_what_was_measured_nothing_is_shown() -> None:
@@ -137,6 +137,8 @@ def test_each_verdict_has_its_mark_on_the_curve_and_in_the_legend(verdict: Verdi
 
 def test_a_second_curve_is_drawn_at_its_own_sieves() -> None:
     drawing = gradation_curve(curve(), ENGLISH, {4.0: 10.0, 8.0: 20.0, 1000.0: 100.0})
-    lines = [shape for shape in drawing.shapes if isinstance(shape, Line) and shape.style is Style.LABORATORY]
+    lines = [
+        shape for shape in drawing.shapes if isinstance(shape, DrawnLine) and shape.style is Style.LABORATORY
+    ]
     assert len(lines[0].points) == 2
     assert not any(isinstance(shape, Dot) and shape.style is Style.LABORATORY for shape in drawing.shapes)

@@ -28,7 +28,7 @@ from service.base.language import Language
 from service.lots.figures import Unmeasured
 from service.lots.lots import LotState
 from service.reports.content import document_of
-from service.reports.document import Facts
+from service.reports.document import NamesAndValues
 from service.reports.html import render_html
 from service.reports.pdf import DEJAVU, render_pdf
 from service.reports.render import render
@@ -281,7 +281,7 @@ def test_hostile_texts_are_still_readable() -> None:
     assert "W" * 30 in pdf_text(hostile(HOSTILE["long word"]))
     assert "{{ 7*7 }} {% raw %} {name}" in page(hostile(HOSTILE["template"])).text
     facts = document_of(hostile(HOSTILE["long text"])).sections[0].blocks[0]
-    assert isinstance(facts, Facts)
+    assert isinstance(facts, NamesAndValues)
     assert max(len(value) for _, value in facts.pairs) == 400
 
 

@@ -30,7 +30,7 @@ from service.daemon.backing_up import BackingUp
 from service.store import Store, backups, history, open_store
 from service.store.backups import back_up, restore
 from service.store.history import backups_in
-from service.store.trouble import Cause
+from service.store.trouble import TroubleCause
 
 
 async def add_with_files(store: Store, session: int, number: int, folder: Path) -> int:
@@ -101,7 +101,7 @@ async def test_a_damaged_database_replaces_no_backup_and_holds_the_store(
         await store.back_up(keep=1)
     assert backups_in(state_dir) == [good]
     assert store.trouble is not None
-    assert store.trouble.cause is Cause.DAMAGED
+    assert store.trouble.cause is TroubleCause.DAMAGED
 
 
 async def test_without_room_there_is_no_backup(

@@ -25,7 +25,7 @@ from service.store.audit import note_alone
 from service.store.event_log import EventLog
 from service.store.events import EventType, NewEvent
 from service.store.retention import Disk, RetentionLimits, mark_files, remove_results
-from service.store.trouble import Cause
+from service.store.trouble import TroubleCause
 
 N_RESULTS = 12
 PAGE_BYTES = 4096
@@ -205,7 +205,7 @@ async def test_damage_of_an_old_record_holds_the_store_and_the_next_start_finds_
         with pytest.raises(StoreError):
             await store.results_after(0, 10)
         assert store.trouble is not None
-        assert store.trouble.cause is Cause.DAMAGED
+        assert store.trouble.cause is TroubleCause.DAMAGED
     assert "results" in (await start_and_serve(state_dir))[0]
     assert len(await start_and_serve(state_dir)) == 1
 
@@ -218,7 +218,7 @@ async def test_a_write_that_meets_a_damaged_record_holds_the_store(state_dir: Pa
         async with asyncio.timeout(PATIENCE_S):
             while store.trouble is None:  # noqa: ASYNC110 - another thread makes it so
                 await asyncio.sleep(0.005)
-        assert store.trouble.cause is Cause.DAMAGED
+        assert store.trouble.cause is TroubleCause.DAMAGED
     with pytest.raises(StoreError, match="a record is damaged"):
         await losing
 

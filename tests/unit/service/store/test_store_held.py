@@ -16,7 +16,7 @@ from pipeline.frames import BundleKind, Trigger
 from service.base.errors import StoreError
 from service.results.record import lost_record
 from service.store import Store, open_store, writer
-from service.store.trouble import Cause
+from service.store.trouble import TroubleCause
 
 
 async def until(is_so: Callable[[], bool]) -> None:
@@ -25,7 +25,7 @@ async def until(is_so: Callable[[], bool]) -> None:
             await asyncio.sleep(0.005)
 
 
-def cause(store: Store) -> Cause | None:
+def cause(store: Store) -> TroubleCause | None:
     return None if store.trouble is None else store.trouble.cause
 
 
@@ -49,7 +49,7 @@ async def test_a_locked_database_holds_and_what_fell_meanwhile_is_counted(
     await store.record_triggers(session, {"1": trigger(1)})
     with locked(state_dir):
         finishing = asyncio.create_task(store.finish(session, "1", measured()))
-        await until(lambda: cause(store) is Cause.LOCKED)
+        await until(lambda: cause(store) is TroubleCause.LOCKED)
         assert "end the program" in str(store.trouble)
         await store.record_triggers(session, {"2": trigger(2)})  # does not wait
         await store.record_triggers(session, {"3": trigger(3, BundleKind.BALL)})
@@ -89,7 +89,7 @@ async def test_a_full_disk_holds_until_there_is_room(
         session = await store.begin_session({})
         files = particle_files(tmp_path / "out")
         finishing = asyncio.create_task(add(store, session, 1, measured(text="x" * 400_000), files))
-        await until(lambda: cause(store) is Cause.FULL)
+        await until(lambda: cause(store) is TroubleCause.FULL)
         assert "make room" in str(store.trouble)
         is_full.clear()
         assert await finishing == 1
@@ -106,7 +106,7 @@ async def test_files_of_a_particle_that_cannot_be_written_hold(
     finishing = asyncio.create_task(
         add(store, session, 1, measured(), particle_files(tmp_path / "out")),
     )
-    await until(lambda: cause(store) is Cause.UNWRITABLE)
+    await until(lambda: cause(store) is TroubleCause.UNWRITABLE)
     folder.unlink()
     folder.mkdir()
     assert await finishing == 1
@@ -136,7 +136,7 @@ async def test_a_held_store_can_be_closed(state_dir: Path) -> None:
     await store.record_triggers(session, {"1": trigger(1)})
     with locked(state_dir):
         finishing = asyncio.create_task(store.finish(session, "1", measured()))
-        await until(lambda: cause(store) is Cause.LOCKED)
+        await until(lambda: cause(store) is TroubleCause.LOCKED)
         async with asyncio.timeout(PATIENCE_S):
             await asyncio.to_thread(store.close)
         with pytest.raises(StoreError, match="locked"):
@@ -162,7 +162,7 @@ async def test_damage_that_shows_while_running_holds_for_good(state_dir: Path) -
     overwrite_pages(state_dir / "results.sqlite")
     with pytest.raises(StoreError, match="malformed"):
         await store.results_after(0, 10)
-    assert cause(store) is Cause.DAMAGED
+    assert cause(store) is TroubleCause.DAMAGED
     assert "restore a backup" in str(store.trouble)
     await store.record_triggers(session, {"2": trigger(2)})
     finishing = asyncio.create_task(store.finish(session, "2", lost(trigger(2))))
@@ -180,7 +180,7 @@ async def test_a_record_that_cannot_be_read_holds(store: Store, session: int, st
     path.write_bytes(path.read_bytes().replace(b'"text": "here"', b'"text": "he\xffe"'))
     with pytest.raises(StoreError):
         await store.results_after(0, 10)
-    assert cause(store) is Cause.DAMAGED
+    assert cause(store) is TroubleCause.DAMAGED
 
 
 async def test_a_database_that_is_replaced_while_running_holds(
@@ -188,7 +188,7 @@ async def test_a_database_that_is_replaced_while_running_holds(
 ) -> None:
     (state_dir / "results.sqlite").rename(state_dir / "elsewhere.sqlite")
     await store.record_triggers(session, {"1": trigger(1)})
-    await until(lambda: cause(store) is Cause.DAMAGED)
+    await until(lambda: cause(store) is TroubleCause.DAMAGED)
     assert "removed or replaced" in str(store.trouble)
 
 
