@@ -10,7 +10,7 @@ from support.recordings import small_rig
 
 from drivers.files.durable import write_json
 from drivers.files.rig_file import write_rig
-from pipeline.calibration import Problem
+from pipeline.calibration import CalibrationProblem
 from pipeline.rig.cameras import RigCalibration
 from service.base.status import AcquisitionState
 from service.calibration.calibrations import Calibrations
@@ -37,7 +37,7 @@ class MadeUpSolver:
     """Solver that returns the rig, or the problems, that a test wants."""
 
     rig: RigCalibration | None = field(default_factory=other_rig)
-    problems: tuple[Problem, ...] = ()
+    problems: tuple[CalibrationProblem, ...] = ()
     failure: Exception | None = None
     jobs: list[SolveJob] = field(default_factory=list)
 

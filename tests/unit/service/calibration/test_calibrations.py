@@ -21,7 +21,7 @@ from support.calibration_desk import (
 )
 
 from drivers.files.rig_file import read_rig, write_rig
-from pipeline.calibration import Problem
+from pipeline.calibration import CalibrationProblem
 from pipeline.frames import BundleKind
 from service.base.errors import StoreError
 from service.base.status import AcquisitionState
@@ -137,7 +137,7 @@ async def test_while_stones_calibrate_they_count_as_stones(tmp_path: Path):
 
 
 async def test_what_must_not_be_used_is_not_accepted(tmp_path: Path):
-    problem = Problem(code="wrong_diameter", detail="the ball is too small")
+    problem = CalibrationProblem(code="wrong_diameter", detail="the ball is too small")
     solver = MadeUpSolver(problems=(problem,))
     desk = open_desk(tmp_path, solver=solver)
     name = await solved(desk)
@@ -151,7 +151,7 @@ async def test_what_must_not_be_used_is_not_accepted(tmp_path: Path):
 @pytest.mark.parametrize(
     "solver",
     [
-        MadeUpSolver(rig=None, problems=(Problem(code="too_few", detail="too few drops"),)),
+        MadeUpSolver(rig=None, problems=(CalibrationProblem(code="too_few", detail="too few drops"),)),
         MadeUpSolver(failure=JobLostError("deadline", "too few drops")),
     ],
 )
