@@ -249,14 +249,14 @@ def table(rows: Sequence[Row]) -> Table:
         ]
         stones = [each for each in judged(rows) if key in (None, (each.row.condition, each.row.segmenter))]
         if not stones:
-            found.add_row(*(key or ("all", "")), str(len(own)), *[""] * 10, str(len(own)))
+            found.add_row(*(key or ("all", "both")), str(len(own)), *[""] * 10, str(len(own)))
             continue
         errors_mm = [each.row.error_mm for each in stones]
         sigmas = [each.sigmas for each in stones]
         words = Counter(each.row.quality for each in stones)
         why = Counter(each.row.causes[0] for each in stones if each.row.causes)
         found.add_row(
-            *(key or ("all", "")),
+            *(key or ("all", "both")),
             str(len(own)),
             f"{np.median(errors_mm):.3f}",
             f"{max(errors_mm):.3f}",

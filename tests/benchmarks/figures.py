@@ -76,7 +76,7 @@ def of_sizes(document: Any) -> Iterator[tuple[str, float]]:
 def of_scaling(document: Any) -> Iterator[tuple[str, float]]:
     """Yield the figures of `stonefall benchmark --scaling`."""
     yield from ((f"grows/{name}", value) for name, value in document["exponents"].items())
-    yield from ((f"{row['n_views']} views", row["total_ms"]) for row in document["views"])
+    yield from ((f"{row['n_views']} views", sum(row["stages_ms"].values())) for row in document["views"])
     yield from ((f"{row['n_workers']} workers", row["stones_per_s"]) for row in document["workers"])
 
 
@@ -98,11 +98,11 @@ NAMES |= {"all turns of", "form", "healthy stones", "cameras", "indices", "recal
 
 
 def of_cells(document: Any) -> Iterator[tuple[str, str]]:
-    """Yield the cells of what `support.printed.show` printed: what names the row, and the heading up to a colon."""
+    """Yield the cells that `support.printed.show` printed, by the row's name and the heading up to a colon."""
     named: dict[str, str] = {}
     for row in document:
         names = list(takewhile(NAMES.__contains__, row))
-        named = {name: row[name] or named[name] for name in names}
+        named = {name: row[name].replace(":", "") or named[name] for name in names}
         where = "/".join([*named.values(), ""])
         yield from ((where + heading.partition(":")[0], row[heading]) for heading in row.keys() - names)
 
@@ -136,7 +136,8 @@ RUNS: Mapping[str, Run] = {
         for lens in ("f8", "f2")
     },
     "concave": Run(
-        command="stonefall benchmark --accuracy --rigs ours --bodies irregular --lens sharp --json",
+        command="stonefall benchmark --accuracy --rigs ours"
+        " --bodies dented,tromino,horseshoe,two-lobed,rough,splinter --lens sharp --json",
         figures_of=of_bodies,
         lens="sharp",
         body="as named",
@@ -149,12 +150,6 @@ RUNS: Mapping[str, Run] = {
             (
                 "sustained",
                 "benchmarks/sustained.py --rates 4,10 --seconds 30 --queue 150 --body estimate",
-                "sharp",
-                "estimate",
-            ),
-            (
-                "long",
-                "benchmarks/sustained.py --rates 10 --seconds 300 --burst 0 --queue 150 --body estimate",
                 "sharp",
                 "estimate",
             ),
