@@ -1,0 +1,1 @@
+"""GigE cameras through Aravis: found, configured, read back, their frames received."""

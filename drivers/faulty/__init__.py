@@ -1,0 +1,1 @@
+"""Twins of cameras and gate that inject faults, for tests and demonstrations."""

@@ -1,0 +1,1 @@
+"""Files that outlive a crash: bundles, recordings, meshes, silhouettes, rigs."""

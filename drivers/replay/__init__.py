@@ -1,0 +1,1 @@
+"""A recording played in the place of devices: cameras and gate that share a belt."""

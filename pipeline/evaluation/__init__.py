@@ -1,0 +1,1 @@
+"""How true the pipeline is: rendered trials, exact hulls, distances between surfaces."""

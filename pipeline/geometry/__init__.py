@@ -1,0 +1,1 @@
+"""Convex hulls and spheres in compiled loops, of points in mm."""

@@ -1,0 +1,1 @@
+"""Rendered bundles with exact truth: bodies, lenses, light, faults."""

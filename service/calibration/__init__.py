@@ -1,0 +1,1 @@
+"""Calibrations from drops while measuring: collected, solved, activated; verifications with a ball."""

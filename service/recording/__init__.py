@@ -1,0 +1,1 @@
+"""Bundles kept as files: recordings on request, and the frames of the newest stones."""

@@ -1,0 +1,1 @@
+"""The resources of the REST interface, a module each: its schemas, and the functions that answer."""

@@ -1,0 +1,1 @@
+"""`stonefall benchmark`: how true and how fast, beside the paper's method."""
