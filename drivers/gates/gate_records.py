@@ -1,4 +1,4 @@
-"""What a gate with a clock and a counter of its own says, in whichever protocol."""
+"""Records of a gate with a clock and a counter of its own, in any protocol."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

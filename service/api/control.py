@@ -65,11 +65,11 @@ class Control(Protocol):
         ...
 
     def configuration_state(self) -> ConfigurationState:
-        """Return what became of the file that they are from."""
+        """Return the state of the file that they are from: in use, refused, or a restart needed."""
         ...
 
     def diagnostic_inputs(self) -> Inputs:
-        """Return what an archive for support is made from, without what the daemon adds; reads files: on a thread."""
+        """Return the inputs of an archive for support, but for those of the daemon; reads files: on a thread."""
         ...
 
     def facts(self) -> Facts:

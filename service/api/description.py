@@ -135,7 +135,7 @@ def complete(document: dict[str, Any]) -> None:
 
 
 def _summary(description: str) -> str:
-    """Return what a description says up to its first stop, colon, semicolon or comma."""
+    """Return a description up to its first stop, colon, semicolon or comma."""
     return re.split(r"[.;:,](?:\s|$)", description, maxsplit=1)[0].replace("`", "")
 
 

@@ -100,7 +100,7 @@ async def build(configured: Configuration, store: Store, reading: Reading, reque
 
 
 def _store_trouble(store: Store) -> str | None:
-    """Return why nothing can be stored, in words, None if results can be."""
+    """Return the trouble of the store in words, None if results can be stored."""
     return None if store.trouble is None else f"store: {store.trouble}"
 
 

@@ -15,7 +15,8 @@ import ast
 import os
 import re
 import sys
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
 
@@ -25,7 +26,8 @@ from rich.console import Console
 from rich.table import Table
 
 PACKAGES = ("service", "drivers", "pipeline")
-Function = ast.FunctionDef | ast.AsyncFunctionDef
+ROOT = Path(__file__).parents[2]
+Documented = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module
 MIRRORED_SHARE, LEAST_FIELDS = 0.7, 3
 MOST_PARAMETERS = 7
 DARK = re.compile(r"(Return|Yield|Tell|Say)\w* (what|whether|how|why|which|who)\b", re.IGNORECASE)
@@ -49,48 +51,75 @@ def rooms_of(modules: "networkx.DiGraph[str]") -> "networkx.DiGraph[str]":
     return rooms
 
 
-def fields_of(node: ast.ClassDef) -> set[str]:
-    """Return the names of the annotated fields of a class."""
-    return {
-        each.target.id
-        for each in node.body
-        if isinstance(each, ast.AnnAssign) and isinstance(each.target, ast.Name)
-    }
+Nodes = Sequence[tuple[Path, ast.AST]]
 
 
-def is_long(node: Function) -> bool:
-    """True for a function of more than seven parameters that is no compiled loop."""
-    arguments = node.args.posonlyargs + node.args.args + node.args.kwonlyargs
-    is_compiled = any(
-        "compiled" in ast.unparse(each) or "jit" in ast.unparse(each) for each in node.decorator_list
+def nodes_of(checkout: Path) -> Nodes:
+    """Return all nodes of the packages with the file that each is in."""
+    paths = [path for package in PACKAGES for path in sorted((checkout / package).rglob("*.py"))]
+    return [(path, node) for path in paths for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+
+
+def mirrored_pairs(nodes: Nodes) -> list[tuple[str, str]]:
+    """Return pairs of classes of different files that share most of their fields."""
+    classes = [
+        (path, node.name, fields)
+        for path, node in nodes
+        if isinstance(node, ast.ClassDef) and len(fields := _fields_of(node)) >= LEAST_FIELDS
+    ]
+    return [
+        (one, other)
+        for (here, one, fields), (there, other, others) in combinations(classes, 2)
+        if here != there and len(fields & others) >= MIRRORED_SHARE * max(len(fields), len(others))
+    ]
+
+
+def shared_names(nodes: Nodes) -> list[str]:
+    """Return the names that public classes of different files share."""
+    homes = Counter(
+        node.name
+        for _, module in nodes
+        if isinstance(module, ast.Module)
+        for node in module.body
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     )
+    return [name for name, n_homes in homes.items() if n_homes > 1]
+
+
+def long_calls(nodes: Nodes) -> list[str]:
+    """Return the functions of more than seven parameters that are no compiled loops."""
+    functions = (node for _, node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
+    return [node.name for node in functions if _is_long(node)]
+
+
+def dark_lines(nodes: Nodes) -> list[str]:
+    """Return the first lines that name no result: "Return what ..."."""
+    documented = (node for _, node in nodes if isinstance(node, Documented))
+    return [text for node in documented if DARK.match(text := ast.get_docstring(node) or "")]
+
+
+def _fields_of(node: ast.ClassDef) -> set[str]:
+    annotated = (each for each in node.body if isinstance(each, ast.AnnAssign))
+    return {each.target.id for each in annotated if isinstance(each.target, ast.Name)}
+
+
+def _is_long(node: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
+    arguments = node.args.posonlyargs + node.args.args + node.args.kwonlyargs
+    is_compiled = any("compiled" in ast.unparse(each) for each in node.decorator_list)
     return not is_compiled and sum(each.arg not in ("self", "cls") for each in arguments) > MOST_PARAMETERS
 
 
-def nodes_of(package: str) -> Iterator[tuple[Path, ast.AST]]:
-    """Yield all nodes of a package with the file that each is in."""
-    for path in sorted(Path(package).rglob("*.py")):
-        yield from ((path, node) for node in ast.walk(ast.parse(path.read_text())))
-
-
-def table_of_words() -> Table:
+def table_of_words(checkout: Path) -> Table:
     """Return the counts over all packages: what is described twice, long calls, dark first lines."""
-    nodes = [each for package in PACKAGES for each in nodes_of(package)]
-    classes = [
-        (path, found)
-        for path, node in nodes
-        if isinstance(node, ast.ClassDef)
-        if len(found := fields_of(node)) >= LEAST_FIELDS
-    ]
-    mirrored = sum(
-        one[0] != other[0] and len(one[1] & other[1]) >= MIRRORED_SHARE * max(len(one[1]), len(other[1]))
-        for one, other in combinations(classes, 2)
-    )
-    functions = [node for _, node in nodes if isinstance(node, Function)]
-    documented = [node for _, node in nodes if isinstance(node, Function | ast.ClassDef | ast.Module)]
-    dark = sum(DARK.match(ast.get_docstring(node) or "") is not None for node in documented)
-    table = Table("mirrored pairs of classes", "long calls", "dark first lines")
-    table.add_row(str(mirrored), str(sum(map(is_long, functions))), str(dark))
+    nodes = nodes_of(checkout)
+    counts = {
+        "mirrored pairs of classes": mirrored_pairs(nodes),
+        "names of classes with several homes": shared_names(nodes),
+        "long calls": long_calls(nodes),
+        "dark first lines": dark_lines(nodes),
+    }
+    table = Table(*counts)
+    table.add_row(*(str(len(found)) for found in counts.values()))
     return table
 
 
@@ -99,7 +128,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("checkout", type=Path, nargs="?", default=Path(__file__).parents[2])
+    parser.add_argument("checkout", type=Path, nargs="?", default=ROOT)
     checkout = parser.parse_args().checkout.resolve()
     os.chdir(checkout)
     sys.path.insert(0, str(checkout))
@@ -126,7 +155,7 @@ def main() -> None:
             sum(len(path.read_text().splitlines()) for path in sources),
         )
         table.add_row(package, *map(str, row))
-    Console(width=None if sys.stdout.isatty() else 100).print(table, table_of_words())
+    Console(width=None if sys.stdout.isatty() else 100).print(table, table_of_words(checkout))
 
 
 if __name__ == "__main__":
