@@ -21,7 +21,9 @@ public class Calls {
         Result lean = results.results(0L, 1L, null, null, "lean").getItems().get(0);
         assert lean.getSieveSizeMm().doubleValue() == 10.0;
         assert particles.particle("1").getId().equals(lean.getId());
-        assert particles.particles("measured", null, null, null, null, null, null, null, null, null, null, null)
+        assert particles
+            .particles("measured", null, null, null, null, null, null, null, null, null, null, null, null, null, null,
+                null, null, null, null, null)
             .getItems().size() == 1;
         assert text(particles.meshFile("1", MeshFormat.PLY)).startsWith("ply");
         assert text(particles.preview("1")).startsWith("\u0089PNG");
