@@ -59,7 +59,7 @@ class HostedCamera(Camera, Protocol):
 
 
 Factory = Callable[[CameraSettings, Allocate, Any], HostedCamera]
-"""Makes a camera of its settings, of the memory for its buffers, and of where it was found the last time."""
+"""Makes a camera of its settings, of memory for its buffers, taken while it opens, and of where it was found last."""
 
 
 def main() -> None:
@@ -161,6 +161,10 @@ class ServedCamera:
         self._slots = SlotsToFill(self._n_slots)
         self._memory += 1
         self.device.open()
+        if not self._slots.slot_bytes:
+            self.device.close()
+            self._slots.file.close()
+            raise CameraUnavailableError(self.device.id, "its driver took no memory for images in open()")
         opened = Opened(
             camera=self.device.id,
             memory=self._memory,
