@@ -56,7 +56,7 @@ class Estimate:
     high: float | None = None
     """Upper end of it."""
     standard_error: float | None = None
-    """Of sampling and measuring together."""
+    """Standard error of sampling and measuring together."""
     sampling_se: float | None = None
     """Other stones might have fallen."""
     measuring_se: float | None = None

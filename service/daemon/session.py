@@ -28,10 +28,10 @@ LOST_EVERY_S = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Session:
-    """What a run of the daemon begins with."""
+    """Everything that a run of the daemon begins with: store, devices, calibration, bundles left by a killed one."""
 
     settings: Settings
-    """Of its start; `Daemon.settings` are those of now."""
+    """Settings of the start; `Daemon.settings` are those in use now."""
     store: Store
     events: EventLog
     number: int

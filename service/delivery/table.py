@@ -41,13 +41,13 @@ class Attempt:
     webhook_id: str
     """The same on every attempt to post an event."""
     type: str
-    """Of the event, or `webhook.test`."""
+    """Type of the event, or `webhook.test`."""
     event: int | None
     """`seq` of the event; null for a test."""
     attempt: int
     """1: the first."""
     status: int | None
-    """Of the answer; null if there was none."""
+    """HTTP status of the answer; null if there was none."""
     problem: str | None
     """Why the message was not taken; null if it was."""
     duration_ms: int

@@ -47,7 +47,7 @@ class LotDefinition:
     sampler: Name | None = None
     """Who took the sample."""
     tonnage_t: Tonnage | None = None
-    """Of the whole lot, t."""
+    """Mass of the whole lot, t."""
     remark: Remark | None = None
     """Whatever else the plant says of it."""
 

@@ -57,7 +57,7 @@ class ProductDefinition:
     title: Name
     """Name of the product for people, such as `8/16 basalt`."""
     density_kg_m3: Annotated[float, Field(gt=0, le=20_000)]
-    """Of the particles, EN 1097-6, kg/m³."""
+    """Density of the particles, EN 1097-6, kg/m³."""
     lower_mm: ApertureMm | None = None
     """d of a product d/D, mm."""
     upper_mm: ApertureMm | None = None

@@ -50,7 +50,7 @@ class SampleStudy:
     sample_id: str
     """Id of the laboratory sample."""
     product: str
-    """Of the newest run; all are measured by it."""
+    """Product of the newest run; all runs are judged by it."""
     product_version: int
     """Version of the product."""
     runs: list[Run]

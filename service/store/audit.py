@@ -53,9 +53,9 @@ class AuditEntry:
     subject: str
     """What was changed, such as the id of a lot."""
     before: Mapping[str, Any] | None
-    """What it was before; null when there was nothing."""
+    """State before the change; null when there was nothing."""
     after: Mapping[str, Any] | None
-    """What it is since; null when there is nothing."""
+    """State after the change; null when there is nothing."""
     digest: str | None
     """SHA-256 of the digest before and of this entry, which makes the entries a chain; null in those of
     earlier versions."""

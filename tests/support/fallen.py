@@ -46,5 +46,5 @@ def fall(
             (*identity, "measured", "good", 0.5 * size_mm**3, *lengths, 0.5, 0.02, "0001", "10", 1, 1)
         )
     marks = ", ".join("?" * len(COLUMNS))
-    connection.executemany(f"INSERT INTO indexed_fields ({', '.join(COLUMNS)}) VALUES ({marks})", rows)  # noqa: S608
+    connection.executemany(f"INSERT INTO indexed_fields ({', '.join(COLUMNS)}) VALUES ({marks})", rows)  # noqa: S608 - names of our own fields
     return first_seq + n

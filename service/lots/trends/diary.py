@@ -47,7 +47,7 @@ class DiaryRequest:
     text: Annotated[str, Field(max_length=500)] = ""
     """Whatever is to be said of it."""
     value: Annotated[float, Field(ge=0, le=1e6)] | None = None
-    """Of a `gap` its setting, mm; of a `feed` its rate, t/h."""
+    """Setting of a `gap`, mm; rate of a `feed`, t/h."""
     at: Annotated[GivenTime | None, Field(json_schema_extra=TIME)] = None
     """When it was done, RFC 3339; now when absent, never in the future."""
 
@@ -67,7 +67,7 @@ class DiaryEntry:
     text: str
     """In the words of who noted it; may be empty."""
     value: float | None
-    """Of a `gap` its setting, mm; of a `feed` its rate, t/h; null: none given."""
+    """Setting of a `gap`, mm; rate of a `feed`, t/h; null: none given."""
     who: str
     """Who noted it: a key or this machine."""
     noted_at: Time

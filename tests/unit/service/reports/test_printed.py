@@ -95,7 +95,7 @@ def page(data: ReportData) -> Page:
 
 
 def pdf_pages(data: ReportData, font_folder: Path = DEJAVU) -> list[str]:
-    """Return what each page of the PDF says."""
+    """Return the text of each page of the PDF."""
     pages = PdfReader(BytesIO(render_pdf(data, font_folder))).pages
     return [" ".join(page.extract_text().split()) for page in pages]
 

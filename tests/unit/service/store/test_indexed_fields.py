@@ -55,7 +55,7 @@ def revise(connection: sqlite3.Connection, particles_dir: Path, seq: int, record
 
 
 def rows(state_dir: Path) -> list[tuple[Any, ...]]:
-    """Return what the database has of some fields."""
+    """Return the rows of some fields in the database."""
     with schema.connect_reader(state_dir / "results.sqlite") as connection:
         return connection.execute(f"SELECT {COLUMNS} FROM indexed_fields ORDER BY seq").fetchall()  # noqa: S608 - above
 
