@@ -42,7 +42,7 @@ class NoAnswerError(ClientError):
     """No answer, a torn one, or one that is not stonefall's: the network, a restart, another program."""
 
 
-class RefusedError(ClientError):
+class ProblemError(ClientError):
     """The daemon refuses; `kind` is the last part of the problem's type, such as `cursor-expired`."""
 
     def __init__(self, status: int, problem: Mapping[str, Any], retry_after: str | None) -> None:
@@ -91,7 +91,7 @@ class Pauses:
 
 
 class Client:
-    """Asks one daemon, over a connection that is kept. Every call raises `NoAnswerError` or `RefusedError`."""
+    """Asks one daemon, over a connection that is kept. Every call raises `NoAnswerError` or `ProblemError`."""
 
     def __init__(self, url: str, key_file: Path | None = None) -> None:
         """The key file holds the token; it is read for each request, so that a key can be exchanged."""
@@ -180,7 +180,7 @@ class Client:
             document = None
         if not 200 <= answer.status < 300:
             problem = document if isinstance(document, dict) else {"detail": answer.reason}
-            raise RefusedError(answer.status, problem, answer.getheader("Retry-After"))
+            raise ProblemError(answer.status, problem, answer.getheader("Retry-After"))
         if not isinstance(document, dict):
             connection.close()
             raise NoAnswerError("the answer is incomplete, or not stonefall's")
@@ -232,7 +232,7 @@ def follow(
         try:
             instance_id, items = client.page(asked, min(wait_s, left_s), fields)
         except ClientError as err:
-            first_seq = err.problem.get("first_seq") if isinstance(err, RefusedError) else None
+            first_seq = err.problem.get("first_seq") if isinstance(err, ProblemError) else None
             if err.kind == "cursor-expired" and isinstance(first_seq, int) and first_seq - 1 > asked:
                 asked = first_seq - 1  # 410: what is left begins there
                 continue

@@ -26,8 +26,8 @@ multiprocessing.set_forkserver_preload(
     [
         "service.processing.worker_imports",
         "service.processing.measure_job",
-        "service.api.pages",
-        "service.api.renditions",
+        "service.web.pages",
+        "service.particles.renditions",
     ]
 )
 

@@ -6,12 +6,17 @@
     ├── SettingsError       a configuration file; names the file and every wrong field
     ├── StoreError          the result store cannot be opened, or a write is wrong; a disk that refuses only holds it
     ├── VolumeModelError    coefficients of the volume correction; names the file and the field
-    ├── TooManyError        as many of a thing are stored as there may be
+    ├── ProblemError        a request that cannot be granted as things are; carries its HTTP status and title
+    │   ├── InvalidRequestError     what was asked for contradicts itself or the store; names the field
+    │   └── TooManyError            as many of a thing are stored as there may be
     ├── StandardsError      tables of sieves and specifications; names the file and every wrong field
     └── UsageError          a command's arguments contradict each other or the files they name
 
 `WorkerFailure` is not one of them: it reports a bug or a broken environment.
 """
+
+from http import HTTPStatus
+from typing import Any, ClassVar, NamedTuple
 
 
 class ServiceError(Exception):
@@ -26,12 +31,43 @@ class StoreError(ServiceError):
     """The result store cannot be opened, or a write did not become durable."""
 
 
-class TooManyError(ServiceError):
-    """As many `things` are stored as there may be; says which of them must go, or what to do instead."""
+class ProblemKind(NamedTuple):
+    """Kind of problem of RFC 9457, as an error declares it: the last part of its `type`, its status and its title."""
+
+    name: str
+    status: HTTPStatus
+    title: str
+
+
+class ProblemError(ServiceError):
+    """A request that cannot be granted as things are; REST answers with the problem of its kind and its members."""
+
+    kinds: ClassVar[tuple[ProblemKind, ...]] = ()
+    """Kinds of problem that it may be; one that does not say is the first."""
+    retry_after_s: ClassVar[int | None] = None
+
+    def __init__(self, detail: str, kind: str | None = None, **members: object) -> None:
+        super().__init__(detail)
+        self.kind = kind or self.kinds[0].name
+        self.members: dict[str, Any] = members
+
+
+class InvalidRequestError(ProblemError):
+    """The request contradicts itself or the store; names the field."""
+
+    kinds = (ProblemKind("invalid-request", HTTPStatus.UNPROCESSABLE_ENTITY, "The request is not valid"),)
+
+
+class TooManyError(ProblemError):
+    """As many things are stored as there may be; says which of them must go, or what to do instead."""
+
+    kinds = tuple(
+        ProblemKind(f"too-many-{things}", HTTPStatus.CONFLICT, f"Too many {things}")
+        for things in ("consumers", "products", "sievings")
+    )
 
     def __init__(self, things: str, detail: str) -> None:
-        super().__init__(detail)
-        self.things = things
+        super().__init__(detail, f"too-many-{things}")
 
 
 class VolumeModelError(ServiceError):

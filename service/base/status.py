@@ -6,12 +6,13 @@ The REST interface returns these models themselves: a field that is added here i
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from http import HTTPStatus
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.frames import CameraId
-from service.base.errors import ServiceError
+from service.base.errors import ProblemError, ProblemKind
 from service.base.schema import always_present
 
 
@@ -79,21 +80,27 @@ TRANSITIONS: Mapping[tuple[AcquisitionState, AcquisitionTarget], AcquisitionStat
 missing are conflicts: arming while disarming, and anything while stopping."""
 
 
-class ConflictError(ServiceError):
+class ConflictError(ProblemError):
     """The acquisition cannot change from its current state to the requested one."""
 
+    kinds = (
+        ProblemKind(
+            "transition-conflict", HTTPStatus.CONFLICT, "The acquisition cannot change to this state now"
+        ),
+    )
+
     def __init__(self, current: AcquisitionState, target: AcquisitionTarget) -> None:
-        super().__init__(f"acquisition is {current} and cannot become {target} now")
-        self.current = current
-        self.target = target
+        detail = f"acquisition is {current} and cannot become {target} now"
+        super().__init__(detail, current=current, target=target)
 
 
-class NotDisarmedError(ServiceError):
+class NotDisarmedError(ProblemError):
     """The acquisition holds the cameras exclusively."""
 
+    kinds = (ProblemKind("not-disarmed", HTTPStatus.CONFLICT, "The rig must be disarmed first"),)
+
     def __init__(self, current: AcquisitionState) -> None:
-        super().__init__(f"acquisition is {current}: it must be disarmed first")
-        self.current = current
+        super().__init__(f"acquisition is {current}: it must be disarmed first", current=current)
 
 
 def next_state(current: AcquisitionState, target: AcquisitionTarget) -> AcquisitionState:

@@ -2,8 +2,9 @@
 
 from collections.abc import Mapping
 from enum import StrEnum
+from http import HTTPStatus
 
-from service.base.errors import ServiceError
+from service.base.errors import ProblemError, ProblemKind
 
 
 class CalibrationState(StrEnum):
@@ -53,12 +54,15 @@ TRANSITIONS: Mapping[tuple[CalibrationState, CalibrationAction], CalibrationStat
 are the transitions from `solving`: to `solved`, or back to `collecting` when there is no solution."""
 
 
-class CalibrationConflictError(ServiceError):
+class CalibrationConflictError(ProblemError):
     """The state of a calibration forbids a request; `state` is that state, None when it is not about one."""
 
+    kinds = (
+        ProblemKind("calibration-conflict", HTTPStatus.CONFLICT, "The calibration does not allow this now"),
+    )
+
     def __init__(self, detail: str, *, state: CalibrationState | None = None) -> None:
-        super().__init__(detail)
-        self.state = state
+        super().__init__(detail, state=state)
 
 
 def next_state(name: str, current: CalibrationState, action: CalibrationAction) -> CalibrationState:

@@ -68,8 +68,8 @@ def build_app(names: Iterable[str] = COMMANDS) -> typer.Typer:
 
 def version_line() -> str:
     """Return the versions of the package, of the REST interface and of the algorithm."""
-    from service.api.version import API_VERSION
     from service.results.version import ALGORITHM_VERSION
+    from service.web.version import API_VERSION
 
     return f"stonefall {metadata.version('stonefall')}, API {API_VERSION}, algorithm {ALGORITHM_VERSION}"
 

@@ -10,8 +10,8 @@ from urllib.parse import urlencode, urlsplit
 
 import typer
 
-from service.api.version import BASE
 from service.base.errors import ServiceError
+from service.web.version import BASE
 
 TIMEOUT_S = 30.0
 DEFAULT_URL = "http://127.0.0.1:8080"

@@ -10,9 +10,9 @@ import typer
 from service.base.errors import UsageError
 from service.commands.daemon_client import ConfiguredUrl, DaemonError, Key, fetch
 from service.commands.doctor_daemon import is_running
-from service.configuration.diagnostic_inputs import diagnostic_inputs
 from service.configuration.settings import load_settings
-from service.host.diagnostics.archive import build_archive
+from service.daemon.diagnostics.archive import build_archive
+from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
 
 ANSWER_S = 90.0
 """The archive may wait for other answers of the daemon."""

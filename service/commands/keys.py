@@ -14,10 +14,10 @@ from rich.table import Table
 
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
-from service.api.key_file import KEYS, create_key, read_keys, revoke_key
-from service.api.settings import Scope
 from service.base.errors import UsageError
 from service.configuration.settings import Settings, load_settings
+from service.web.key_file import KEYS, create_key, read_keys, revoke_key
+from service.web.settings import Scope
 
 command = typer.Typer(
     no_args_is_help=True, help="Keys of the REST interface; changes apply to a running daemon at once."

@@ -9,7 +9,6 @@ import typer
 
 from drivers.files.durable import write_file
 from drivers.files.times import utc_now
-from service.api.version import API_VERSION
 from service.base.errors import ServiceError, UsageError
 from service.base.language import Language
 from service.commands.options import with_options
@@ -20,6 +19,7 @@ from service.lots.stored_stones import stones_in
 from service.lots.yardsticks import Request, UnknownYardstickError
 from service.reports.render import render
 from service.reports.report import ReportData, ReportFormat
+from service.web.version import API_VERSION
 
 
 @dataclass(frozen=True, slots=True)

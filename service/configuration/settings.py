@@ -20,8 +20,6 @@ from pipeline.uncertainty import QualityParameters
 from pipeline.views.consistency import ConsistencyParameters
 from pipeline.views.quality import ViewsParameters
 from service.acquisition.empty_rig import EmptyRigParameters
-from service.api.key_file import KEYS, KeyFileError, StoredKey, read_keys
-from service.api.settings import ApiSettings, WithoutKeys
 from service.base.configured_paths import ConfiguredPath
 from service.base.errors import SettingsError, VolumeModelError
 from service.bundling.parameters import BundlingParameters
@@ -36,6 +34,8 @@ from service.lots.shifts import LotsSettings
 from service.recording.recordings import RecordingsSettings
 from service.store import KEEP_RAW
 from service.store.retention import RetentionLimits
+from service.web.key_file import KEYS, KeyFileError, StoredKey, read_keys
+from service.web.settings import ApiSettings, WithoutKeys
 
 MAX_BYTES = 1_000_000
 MAX_LINE = 20_000

@@ -11,9 +11,6 @@ from prometheus_client import Histogram
 from pipeline.frames import FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.acquisition.acquisition import Acquisition, AcquisitionParameters
-from service.api.key_ring import KeyRing
-from service.api.metrics import result_delays
-from service.api.reader_process import Reading
 from service.calibration.calibrations import Calibrations
 from service.calibration.files import Activation, image_sizes_px
 from service.calibration.verifications import Verification, open_verifications
@@ -23,6 +20,7 @@ from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import LoopWatch
 from service.daemon.parts import parts_of
 from service.daemon.reloading import Configuration
+from service.daemon.rest.metrics import result_delays
 from service.daemon.retaining import Retaining
 from service.daemon.running_daemon import N_LATEST, Daemon, Watches
 from service.daemon.session import Session, begin_session
@@ -47,6 +45,8 @@ from service.recording.recordings import Recordings, open_recordings
 from service.remeasuring.remeasuring import Remeasuring, new_pool
 from service.store import Store
 from service.store.events import EventType, NewEvent
+from service.web.key_ring import KeyRing
+from service.web.reader_process import Reading
 
 log = logging.getLogger(__name__)
 

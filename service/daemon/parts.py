@@ -6,10 +6,9 @@ import time
 from functools import partial
 
 from service.acquisition.acquisition import Acquisition
-from service.api.reader_process import Reading
-from service.api.report_requests import files_maker
 from service.daemon.alarming import Alarming
 from service.daemon.backing_up import BackingUp
+from service.daemon.lot_files import files_maker
 from service.daemon.part import Part, Running
 from service.daemon.running_daemon import Daemon
 from service.daemon.session import lose_all_crashed
@@ -18,6 +17,7 @@ from service.delivery.file_drop import FileDrop
 from service.recording.raw_archive import RawArchive
 from service.store.checks import store_checks
 from service.store.event_log import EventLog
+from service.web.reader_process import Reading
 
 log = logging.getLogger(__name__)
 

@@ -13,9 +13,6 @@ from functools import partial
 from pathlib import Path
 from socket import socket
 
-from service.api.app import create_app
-from service.api.reader_process import ReaderProcess
-from service.api.server import RestServer, listen, server_config
 from service.base.addresses import is_loopback
 from service.base.errors import StoreError
 from service.base.status import AcquisitionTarget
@@ -23,6 +20,7 @@ from service.configuration.settings import Settings
 from service.daemon.build import build
 from service.daemon.part import Part, Running, started
 from service.daemon.reloading import Configuration
+from service.daemon.rest.app import create_app
 from service.daemon.running_daemon import Daemon
 from service.daemon.session import Session
 from service.daemon.stopping import StopRequests
@@ -30,9 +28,13 @@ from service.daemon.systemd import EXTENSION_US, ServiceManager, feed_watchdog, 
 from service.processing.process_memory import freeze_gc, keep_freed_memory
 from service.store import Store, open_store
 from service.store.trouble import TroubleCause, trouble_of
+from service.web.reader_process import ReaderProcess
+from service.web.server import RestServer, listen, server_config
 
 log = logging.getLogger(__name__)
 
+READER_IMPORTS = ("service.particles.pages", "service.particles.renditions")
+"""Modules whose import would hold the first page, mesh or picture that is asked for."""
 FULL_S = 2.0
 """Pause before the store is opened again while its disk is full."""
 
@@ -56,7 +58,7 @@ async def run(settings: Settings, manager: ServiceManager, file: Path) -> None:
         if store is None:
             return
         resources.push_async_callback(asyncio.to_thread, store.close)
-        reading = ReaderProcess()
+        reading = ReaderProcess(READER_IMPORTS)
         daemon = await build(Configuration(settings, file), store, reading, requests)
         resources.push_async_callback(asyncio.to_thread, daemon.session.devices.close)
         resources.push_async_exit(partial(_end_spool, daemon.session.folder))

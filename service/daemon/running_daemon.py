@@ -3,15 +3,16 @@
 import logging
 import time
 from collections import deque
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar, cast
 
 from prometheus_client import Histogram
 
 from drivers.interfaces import CameraVitals
 from pipeline.frames import CameraId, Image
 from service.acquisition.acquisition import Acquisition
-from service.api.key_ring import KeyRing
 from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,
@@ -21,13 +22,15 @@ from service.base.status import (
     Health,
 )
 from service.calibration.calibrations import Calibrations
-from service.configuration.diagnostic_inputs import diagnostic_inputs
 from service.configuration.settings import Settings
+from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
+from service.daemon.diagnostics.inputs import Inputs
 from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import LoopWatch
 from service.daemon.part import Part
 from service.daemon.reloading import Configuration
 from service.daemon.retaining import Retaining
+from service.daemon.rig_standing import rig_standing
 from service.daemon.session import Session
 from service.delivery.webhooks import Webhooks
 from service.health.alarms.alarms import Alarms
@@ -38,7 +41,6 @@ from service.health.optical_watch import OpticalWatch
 from service.health.refinement_watch import RefinementWatch
 from service.health.rig_watch import CameraScore, RigWatch
 from service.health.segmentation_watch import SegmentationWatch
-from service.host.diagnostics.inputs import Inputs
 from service.lots.shifts import LotsSettings
 from service.processing.processing import Processing
 from service.processing.spool import Spool
@@ -46,9 +48,13 @@ from service.processing.worker_pool import WorkerPool
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
+from service.reports.lot_reports import RigStanding
 from service.store.checks import free_bytes
+from service.web.key_ring import KeyRing
 
 log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 N_LATEST = 100
 """Outcomes whose delays are remembered one by one."""
@@ -68,7 +74,7 @@ class Watches:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Daemon:
-    """What REST, metrics and the watchdog ask of the parts; implements `service.api.control.Control`."""
+    """What REST, metrics and the watchdog ask of the parts; implements `service.web.control.Control`."""
 
     configured: Configuration
     session: Session
@@ -94,15 +100,20 @@ class Daemon:
     def settings(self) -> Settings:
         return self.configured.settings
 
-    @property
-    def lots(self) -> LotsSettings:
-        return self.settings.lots
+    def part(self, kind: type[T]) -> T:
+        states: Mapping[type, Callable[[], object]] = {
+            Facts: self.facts,
+            Inputs: partial(diagnostic_inputs, self.settings),
+            LotsSettings: lambda: self.settings.lots,
+            RigStanding: partial(rig_standing, self.calibrations),
+        }
+        if kind in states:
+            return cast("T", states[kind]())
+        parts = (self.recordings, self.calibrations, self.alarms, self.remeasuring, self.webhooks)
+        return next(part for part in parts if isinstance(part, kind))
 
     def configuration(self) -> dict[str, Any]:
         return self.settings.model_dump(mode="json")
-
-    def diagnostic_inputs(self) -> Inputs:
-        return diagnostic_inputs(self.settings)
 
     def configuration_state(self) -> ConfigurationState:
         return self.configured.state

@@ -4,10 +4,12 @@ import json
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from http import HTTPStatus
 from typing import Any
 
 from pydantic import TypeAdapter
 
+from service.base.errors import ProblemError, ProblemKind
 from service.base.schema import ANSWER, Time
 from service.delivery.progress import EndpointProgress, enabled, replayed
 from service.store import audit
@@ -19,15 +21,21 @@ MAX_DELIVERIES = 500
 """Newest deliveries of each endpoint that are kept."""
 
 
-class EventCursorError(ValueError):
-    """The events do not reach that far, or no longer have what follows; `ends` are their first and last number."""
+class EventCursorError(ProblemError):
+    """The events do not reach that far, or no longer have what follows; names their first and last number."""
+
+    kinds = (
+        ProblemKind("cursor-ahead", HTTPStatus.CONFLICT, "The cursor is ahead of the history"),
+        ProblemKind("cursor-expired", HTTPStatus.GONE, "The cursor is older than the oldest result kept"),
+    )
 
     def __init__(self, after: int, first_seq: int, last_seq: int) -> None:
         super().__init__(
-            f"events {first_seq} to {last_seq} are kept: nothing can be told again after {after}"
+            f"events {first_seq} to {last_seq} are kept: nothing can be told again after {after}",
+            "cursor-ahead" if after > last_seq else "cursor-expired",
+            first_seq=first_seq,
+            last_seq=last_seq,
         )
-        self.is_ahead = after > last_seq
-        self.ends: dict[str, Any] = {"first_seq": first_seq, "last_seq": last_seq}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,9 +8,10 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from http import HTTPStatus
 
 from pipeline.frames import rfc3339
-from service.base.errors import ServiceError, StoreError
+from service.base.errors import ProblemError, ProblemKind, StoreError
 from service.base.status import Checks, trouble_check
 from service.delivery import table
 from service.delivery.message import Message, message_of, trial_message
@@ -27,8 +28,13 @@ STORE_RETRY_S = 5.0
 """Pause after the store could not be read."""
 
 
-class BeingTestedError(ServiceError):
+class BeingTestedError(ProblemError):
     """The endpoint is being tested already."""
+
+    kinds = (
+        ProblemKind("busy", HTTPStatus.SERVICE_UNAVAILABLE, "More is asked for than can be made at a time"),
+    )
+    retry_after_s = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,11 +5,12 @@ import math
 import sqlite3
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from http import HTTPStatus
 from typing import Any
 
 from drivers.files.times import utc_now
 from pipeline.gradation.correlation import MappingForm, SievedLot, SizeMapping, Study, study
-from service.base.errors import ServiceError, TooManyError
+from service.base.errors import InvalidRequestError, ProblemError, ProblemKind, TooManyError
 from service.lots.lots import LotState, lots
 from service.lots.stored_stones import stones_of_lot
 from service.store import audit
@@ -24,12 +25,14 @@ PAN = frozenset({"pan", "boden", "0"})
 MOST_LOTS = 1000
 
 
-class SievingError(ServiceError):
+class SievingError(InvalidRequestError):
     """A laboratory's table cannot be read, or does not add up; names the line or the sieve."""
 
 
-class NothingToStudyError(ServiceError):
+class NothingToStudyError(ProblemError):
     """No lot of the product has both stones and a sieving from which a size follows."""
+
+    kinds = (ProblemKind("nothing-to-study", HTTPStatus.CONFLICT, "No lot was both sieved and measured"),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

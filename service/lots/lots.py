@@ -4,12 +4,13 @@ import json
 import sqlite3
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
+from http import HTTPStatus
 from typing import Annotated
 
 from pydantic import Field
 
 from drivers.files.times import utc_now
-from service.base.errors import ServiceError
+from service.base.errors import ProblemError, ProblemKind
 from service.base.ids import NEW_ID
 from service.base.schema import REQUEST, Name, Remark
 from service.lots.products import find_product
@@ -67,12 +68,16 @@ class LotRecord:
     n_stones: int  # that fell, with outcome
 
 
-class LotConflictError(ServiceError):
+class LotConflictError(ProblemError):
     """Another lot is open, the lot exists already, or its state does not allow it."""
 
+    kinds = (ProblemKind("lot-conflict", HTTPStatus.CONFLICT, "The lots do not allow this now"),)
 
-class UnknownProductError(ValueError):
+
+class UnknownProductError(ProblemError):
     """There is no such product, or not this version of it."""
+
+    kinds = (ProblemKind("unknown-product", HTTPStatus.NOT_FOUND, "No such product"),)
 
 
 def open_lot(
@@ -93,7 +98,8 @@ def open_lot(
     with transaction(connection):
         found = find_product(connection, product, version)
         if found is None:
-            raise UnknownProductError(product if version is None else f"{product}, version {version}")
+            name = product if version is None else f"{product}, version {version}"
+            raise UnknownProductError(f"there is no product {name}")
         existing = find_lot(connection, definition.lot)
         if existing is not None:
             same = (existing.definition, existing.product, existing.version)

@@ -4,9 +4,10 @@ import sqlite3
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from http import HTTPStatus
 
 from pipeline.gradation.repeatability import Repeatability, repeatability
-from service.base.errors import ServiceError
+from service.base.errors import ProblemError, ProblemKind
 from service.base.schema import ANSWER
 from service.lots.evaluation import figures_of
 from service.lots.figures import LotFigures, named_figures
@@ -16,8 +17,10 @@ from service.lots.stored_stones import stones_of_lot
 from service.lots.yardsticks import Request
 
 
-class RunsTooFewError(ServiceError):
+class RunsTooFewError(ProblemError):
     """No two runs of the sample were made under equal conditions."""
+
+    kinds = (ProblemKind("too-few-runs", HTTPStatus.CONFLICT, "The sample has too few runs to compare"),)
 
 
 class Conditions(StrEnum):

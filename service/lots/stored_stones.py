@@ -10,7 +10,7 @@ from typing import Any
 
 from pipeline.frames import BundleKind
 from pipeline.gradation.stones import Fate, Lot, Stone, UnmeasuredStone, lot_of
-from service.base.errors import ServiceError
+from service.base.errors import InvalidRequestError
 from service.base.schema import ANSWER, Time
 from service.lots.stones import SIZES, stone_of
 from service.results.fields import INDEXED_FIELDS
@@ -21,7 +21,7 @@ SIZES_OF = itemgetter(*SIZES)
 BODY = itemgetter("body", "refinement_fallback")
 
 
-class UnknownChoiceError(ServiceError):
+class UnknownChoiceError(InvalidRequestError):
     """The lot has no such stones to leave out or to choose; names the field and what is not there."""
 
 

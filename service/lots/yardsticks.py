@@ -6,7 +6,7 @@ from functools import cache
 
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange, SieveSet
 from pipeline.gradation.specification import Limits, Specification, specification_of
-from service.base.errors import ServiceError
+from service.base.errors import InvalidRequestError
 from service.lots.products import OwnSpecification, ProductDefinition
 from service.lots.standards import Standards, read_standards
 
@@ -14,7 +14,7 @@ DEFAULT_SET = "stonefall"
 """Sieves of stones without a product."""
 
 
-class UnknownYardstickError(ServiceError):
+class UnknownYardstickError(InvalidRequestError):
     """No table has this name, or the product lacks what it needs; names the field and what there is."""
 
 

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from http import HTTPStatus
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,7 +21,7 @@ from drivers.files.bundle_file import Compression
 from drivers.files.recording import RecordingSource, RecordingWriter
 from pipeline.frames import BundleKind, FrameBundle
 from pipeline.rig.cameras import RigCalibration
-from service.base.errors import ServiceError
+from service.base.errors import ProblemError, ProblemKind
 from service.base.schema import REQUEST
 from service.base.status import Checks, trouble_check
 from service.recording.kept_recordings import (
@@ -92,12 +93,17 @@ class Refusal(StrEnum):
     NO_ROOM = "no-room"
 
 
-class RecordingRefusedError(ServiceError):
+class RecordingRefusedError(ProblemError):
     """A recording cannot be started or deleted now."""
 
+    kinds = (
+        ProblemKind(Refusal.EXISTS, HTTPStatus.CONFLICT, "A recording of this name exists"),
+        ProblemKind(Refusal.RUNNING, HTTPStatus.CONFLICT, "A recording is running"),
+        ProblemKind(Refusal.NO_ROOM, HTTPStatus.INSUFFICIENT_STORAGE, "Not enough disk space"),
+    )
+
     def __init__(self, refusal: Refusal, detail: str) -> None:
-        super().__init__(detail)
-        self.refusal = refusal
+        super().__init__(detail, refusal)
 
 
 def require_room(folder: Path, n_bundles: int, source: RecordingSource, reserve_bytes: int) -> None:

@@ -1,10 +1,11 @@
 """Why a stone cannot be measured again."""
 
 from enum import StrEnum
+from http import HTTPStatus
 
 from drivers.interfaces import FrameLossReason
 from pipeline.views.dropped import DropCause, DroppedView
-from service.base.errors import ServiceError
+from service.base.errors import ProblemError, ProblemKind
 from service.store import Record
 
 DAMAGED = str(DroppedView(DropCause.NO_FRAME, FrameLossReason.DAMAGED))
@@ -21,12 +22,21 @@ class Hindrance(StrEnum):
     FAILED = "not-measured"
 
 
-class RemeasureError(ServiceError):
+class RemeasureError(ProblemError):
     """A stone is not measured again; its result stays as it is."""
 
+    kinds = (
+        ProblemKind(Hindrance.NO_FRAMES, HTTPStatus.NOT_FOUND, "This file was not kept"),
+        ProblemKind(
+            Hindrance.NO_CALIBRATION, HTTPStatus.CONFLICT, "The calibration of this result is not kept"
+        ),
+        ProblemKind(Hindrance.NO_BACKGROUND, HTTPStatus.CONFLICT, "The empty rig was not exposed yet"),
+        ProblemKind(Hindrance.NO_ORDER, HTTPStatus.CONFLICT, "Conflict"),
+        ProblemKind(Hindrance.FAILED, HTTPStatus.CONFLICT, "The stone could not be measured again"),
+    )
+
     def __init__(self, why: Hindrance, detail: str) -> None:
-        super().__init__(detail)
-        self.why = why
+        super().__init__(detail, why)
 
 
 def require_sound(before: Record, after: Record) -> None:

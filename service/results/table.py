@@ -1,4 +1,4 @@
-"""The table of result fields in `service/api/README.md`; a test compares it with this.
+"""The table of result fields in `service/web/README.md`; a test compares it with this.
 
 Run `python -m service.results.table` after a change of `service.results.fields`, and put what it prints between the two
 markers of the guide.

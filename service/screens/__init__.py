@@ -1,1 +1,1 @@
-"""The pages for people: scripts, styles and words, static files that `service.api.routes.screens` serves."""
+"""The pages for people: scripts, styles and words, static files that `service.web.routes.screens` serves."""

@@ -11,16 +11,16 @@ from support.remeasuring import AgainPool, remeasuring_of
 from support.rest import FakeControl, app_of, client_of
 from support.webhook_receiver import SECRET, Receiver
 
-from service.api.settings import ApiSettings
+from service.daemon.diagnostics.inputs import Inputs, Secrets
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 from service.delivery.webhooks import Webhooks, open_webhooks
 from service.health.alarms.alarms import Alarms, open_alarms
-from service.host.diagnostics.inputs import Inputs, Secrets
 from service.host.needs import HostNeeds
 from service.recording.recordings import RecordingsSettings, open_recordings
 from service.store import Store
 from service.store.event_log import EventLog
 from service.store.events import EventType
+from service.web.settings import ApiSettings
 
 
 @pytest.fixture

@@ -8,11 +8,11 @@ import httpx
 import pytest
 from support.rest import FakeControl, app_of, assert_problem, client_of
 
-from service.api.settings import ApiKey, ApiSettings, Scope
 from service.base.status import CheckStatus, HealthCheck
 from service.health.alarms.alarms import Alarms, open_alarms
 from service.store import Store
 from service.store.event_log import EventLog
+from service.web.settings import ApiKey, ApiSettings, Scope
 
 PASS, WARN, FAIL = CheckStatus.PASS, CheckStatus.WARN, CheckStatus.FAIL
 QUARANTINE, RECORDING, TRIGGER_LINE = "quarantine", "recording", "trigger_line"

@@ -17,14 +17,14 @@ from support.recordings import make_bundle
 from support.remeasuring import AgainPool, add_old
 from support.rest import FakeControl, app_of, client_of
 
-from service.api.app import build_routes
-from service.api.routes.audit import PAGE
-from service.api.settings import ApiKey, ApiSettings, Scope
-from service.api.version import BASE
 from service.base.status import AcquisitionState, CheckStatus, HealthCheck
+from service.daemon.rest.app import build_routes
 from service.health.alarms.alarms import Alarms
 from service.store import Store
 from service.store.audit import COLUMNS, note_alone
+from service.web.routes.audit import PAGE
+from service.web.settings import ApiKey, ApiSettings, Scope
+from service.web.version import BASE
 
 READING = {"get"}
 NOT_NOTED = {

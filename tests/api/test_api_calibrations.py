@@ -10,10 +10,10 @@ from support.calibration_desk import CONFIGURED, a_drop, open_desk, other_rig
 from support.rest import FakeControl, app_of, client_of
 
 from pipeline.rig.document import rig_from_document
-from service.api.settings import ApiKey, ApiSettings, Scope
 from service.base.status import AcquisitionState
 from service.calibration.verifications import VerificationState
 from service.store import Store
+from service.web.settings import ApiKey, ApiSettings, Scope
 
 BALL = {"ball_diameters_mm": [10.0], "by": "an engineer", "note": "after the new lens"}
 CONFLICT = "urn:stonefall:problem:calibration-conflict"

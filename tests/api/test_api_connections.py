@@ -16,11 +16,11 @@ from support.outcomes import add, measured
 from support.rest import FakeControl, app_of
 from support.served import PATIENCE_S, Served, served_by
 
-from service.api import connections
-from service.api.connections import READING_S, REQUEST_S, max_connections
-from service.api.pieces import PIECE_BYTES
-from service.api.settings import ApiSettings
 from service.store import Store
+from service.web import connections
+from service.web.connections import READING_S, REQUEST_S, max_connections
+from service.web.pieces import PIECE_BYTES
+from service.web.settings import ApiSettings
 
 HALF = b"GET /api/v1/res"
 LIVE = b"GET /api/v1/health/live HTTP/1.1\r\nHost: localhost\r\n\r\n"

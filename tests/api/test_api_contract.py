@@ -12,16 +12,16 @@ from support.outcomes import add, measured, rejected
 from support.rest import FakeControl, app_of, particle_files
 from support.served import served_by
 
-from service.api import pace
-from service.api.openapi import openapi_text
-from service.api.openapi_parts import shared_answer
-from service.api.problems import PROBLEMS
-from service.api.version import BASE
 from service.base.status import CheckStatus, HealthCheck
+from service.daemon.rest.openapi import openapi_text
 from service.health.alarms.alarms import Alarms
 from service.lots.lots import LotDefinition, close_lot, open_lot
 from service.lots.products import ProductDefinition, save_product
 from service.store import Store
+from service.web import pace
+from service.web.openapi_parts import shared_answer
+from service.web.problems import all_problems
+from service.web.version import BASE
 
 CHECKS = (
     "not_a_server_error",
@@ -89,7 +89,7 @@ def strict_document(base_url: str) -> str:
                 if each != {"$ref": "#/components/parameters/Idempotency-Key"}
             ]
     components = document["components"]
-    for status, titles in PROBLEMS.items():
+    for status, titles in all_problems().items():
         answer = components["responses"][shared_answer(str(int(status)))["$ref"].split("/")[-1]]
         types = {"properties": {"type": {"enum": [f"urn:stonefall:problem:{slug}" for slug in titles]}}}
         content = answer["content"]["application/problem+json"]

@@ -9,11 +9,11 @@ import pytest
 from support.outcomes import add, measured, rejected, trigger
 from support.rest import SICK_HEALTH, FakeControl
 
-from service.api.routes.health import HealthDocument
-from service.api.version import API_VERSION
 from service.base.status import TRANSITIONS, AcquisitionState, AcquisitionTarget, ConflictError, next_state
+from service.health.routes.health import HealthDocument
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store
+from service.web.version import API_VERSION
 
 
 async def test_live_does_not_ask_the_daemon(client: httpx.AsyncClient, control: FakeControl) -> None:

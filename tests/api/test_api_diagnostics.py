@@ -9,11 +9,11 @@ from support.configurations import KEY, KEY_SHA256, REPLAY
 from support.diagnostics import files_of
 from support.rest import FakeControl, app_of, client_of
 
-from service.api.key_file import sha256_of
-from service.api.settings import ApiKey, ApiSettings, Scope
-from service.configuration.diagnostic_inputs import diagnostic_inputs
 from service.configuration.settings import load_settings
+from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
 from service.store import Store
+from service.web.key_file import sha256_of
+from service.web.settings import ApiKey, ApiSettings, Scope
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ import httpx
 import pytest
 from support.rest import FakeControl, app_of, assert_problem, client_of
 
-from service.api.settings import ApiSettings, WithoutKeys
 from service.store import Store
+from service.web.settings import ApiSettings, WithoutKeys
 
 ARM = {"state": "armed"}
 NAMED = ApiSettings(

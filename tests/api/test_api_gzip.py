@@ -11,9 +11,9 @@ import pytest
 from support.outcomes import add, measured
 from support.rest import FakeControl, ReadingThread, app_of, client_of, particle_files
 
-from service.api import gzipped
-from service.api.reader_process import BusyError
 from service.store import Store
+from service.web import gzipped
+from service.web.reader_process import BusyError
 
 T = TypeVar("T")
 GZIP = {"Accept-Encoding": "gzip"}

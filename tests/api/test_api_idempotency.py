@@ -11,8 +11,8 @@ import pytest
 from support.eventually import PATIENCE_S
 from support.rest import FakeControl, app_of, assert_problem, client_of
 
-from service.api import idempotency
 from service.store import Store, open_store
+from service.web import idempotency
 
 PRODUCT = {"title": "8/16", "density_kg_m3": 2700, "lower_mm": 8, "upper_mm": 16}
 LOT = {"lot": "L1", "product": "basalt"}

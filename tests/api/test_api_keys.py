@@ -11,10 +11,10 @@ import pytest
 from support.rest import FakeControl, app_of, assert_problem, client_of
 
 from pipeline.frames import rfc3339
-from service.api.key_file import KEYS, create_key, revoke_key
-from service.api.key_guesses import MAX_WRONG
-from service.api.settings import ApiKey, ApiSettings, Scope, WithoutKeys
 from service.store import Store
+from service.web.key_file import KEYS, create_key, revoke_key
+from service.web.key_guesses import MAX_WRONG
+from service.web.settings import ApiKey, ApiSettings, Scope, WithoutKeys
 
 CONFIGURED = ApiKey(
     name="scada", sha256="9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
@@ -63,7 +63,7 @@ async def test_an_expired_key_says_so(
     end = datetime.now(UTC) + timedelta(days=1)
     mes = created(state_dir, "mes", expires_at=rfc3339(end))
     assert (await remote.get("/results", headers=mes)).status_code == 200
-    monkeypatch.setattr("service.api.auth.utc_now", lambda: rfc3339(end))
+    monkeypatch.setattr("service.web.auth.utc_now", lambda: rfc3339(end))
     for _ in range(2 * MAX_WRONG):  # it is no guess: others at this address are not shut out
         refused = await remote.get("/results", headers=mes)
         assert_problem(refused, 401, "unauthorized")

@@ -15,12 +15,12 @@ from support.rest import FakeControl, app_of, assert_problem, client_of, particl
 from pipeline.frames import BundleKind
 from pipeline.gradation.evaluation import Gradation
 from pipeline.gradation.stones import Lot
-from service.api.overview_rows import Rows, overview_rows
-from service.api.settings import ApiKey, ApiSettings, Scope
+from service.daemon.overview.overview_rows import Rows, overview_rows
 from service.lots import evaluation, laboratory, products
 from service.results.record import lost_record
 from service.results.refinement import RUSH
 from service.store import Store
+from service.web.settings import ApiKey, ApiSettings, Scope
 
 
 @pytest.fixture

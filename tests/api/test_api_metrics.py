@@ -10,14 +10,14 @@ from prometheus_client.parser import text_string_to_metric_families
 from support.outcomes import add, measured, rejected, trigger
 from support.rest import SICK_HEALTH, FakeControl, app_of, client_of
 
-from service.api.metrics import DELAYS_S, Snapshot, metrics_text
-from service.api.settings import ApiSettings
 from service.base.redaction import redacted
 from service.configuration.settings import Settings, load_settings
+from service.daemon.rest.metrics import DELAYS_S, Snapshot, metrics_text
 from service.results.fields import Verified
 from service.store import Store
 from service.store.outcome_counts import OutcomeCounts, outcome_counts
 from service.store.retention import RetentionLimits, remove_results
+from service.web.settings import ApiSettings
 
 ROOT = Path(__file__).parents[2]
 GUIDE, ALERTS = ROOT / "deploy" / "README.md", ROOT / "deploy" / "alerts.yml"

@@ -16,17 +16,18 @@ from support.sent_events import Stream, opened
 from support.served import Served, served_by
 
 from pipeline.frames import rfc3339
-from service.api import open_streams, overviews
-from service.api.key_file import create_key, revoke_key
-from service.api.overview_rows import Rows, overview_rows
-from service.api.settings import Scope
 from service.base.errors import StoreError
 from service.base.status import AcquisitionState, CheckStatus, HealthCheck
+from service.daemon.overview import overviews
+from service.daemon.overview.overview_rows import Rows, overview_rows
 from service.health.alarms.alarms import Alarms
 from service.lots.lots import LotDefinition, close_lot, open_lot
 from service.lots.products import ProductDefinition, save_product
 from service.store import Store
 from service.store.schema import read
+from service.web import open_streams
+from service.web.key_file import create_key, revoke_key
+from service.web.settings import Scope
 
 NOW = datetime.now(UTC).replace(hour=12)
 LENGTHS = dict.fromkeys(

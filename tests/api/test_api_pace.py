@@ -9,10 +9,10 @@ import pytest
 from support.rest import FakeControl, app_of, assert_problem, client_of
 from support.served import Served, served_by
 
-from service.api import pace
-from service.api.pace import BURST, MAX_WAITING, RATE_HZ, Turn, Turns, Waiting
-from service.api.settings import ApiKey, ApiSettings
 from service.store import Store
+from service.web import pace
+from service.web.pace import BURST, MAX_WAITING, RATE_HZ, Turn, Turns, Waiting
+from service.web.settings import ApiKey, ApiSettings
 
 MES = ApiKey(name="mes", sha256=hashlib.sha256(b"mes-token").hexdigest())
 RIGHT, WRONG = ({"Authorization": f"Bearer {token}"} for token in ("mes-token", "guess"))

@@ -14,7 +14,7 @@ from support.outcomes import add, measured, rejected
 from support.rest import BOX_MM, GREY, particle_files
 from support.stores import folder_of
 
-from service.api.routes.particles import ParticlesPage
+from service.particles.routes.particles import ParticlesPage
 from service.results.fields import Result
 from service.store import Store
 

@@ -6,6 +6,7 @@ import re
 import sqlite3
 from collections.abc import AsyncIterator
 from contextlib import closing
+from http import HTTPStatus
 from pathlib import Path
 
 import httpx
@@ -13,24 +14,26 @@ import pytest
 from support.outcomes import add, measured
 from support.rest import FakeControl, app_of, assert_problem, client_of
 
-from service.api.problems import PROBLEMS, TITLES
-from service.api.settings import ApiKey, ApiSettings, Scope
 from service.base.status import Health
 from service.store import Store
+from service.web.problems import all_problems
+from service.web.settings import ApiKey, ApiSettings, Scope
 
 ROOT = Path(__file__).parents[2]
 ARM = {"state": "armed"}
 
 
 def test_each_kind_has_a_title_and_stands_in_the_guide() -> None:
-    sources = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "service" / "api").rglob("*.py"))
+    sources = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "service").rglob("*.py"))
     raised = re.findall(r'Problem\(\s*(\d{3}),\s*"([a-z-]+)"', sources)
-    assert [(status, kind) for status, kind in raised if kind not in PROBLEMS[int(status)]] == []
+    described = all_problems()
+    titles = {kind for kinds in described.values() for kind in kinds}
+    assert [(status, kind) for status, kind in raised if kind not in described[HTTPStatus(int(status))]] == []
     kinds = {kind for _, kind in raised}
     kinds |= {f"unknown-{kind}" for kind in re.findall(r'existing\([^"]+"([a-z]+)", ', sources)}
-    assert {"cursor-ahead", "unknown-lot", "unknown-sample"} <= kinds <= set(TITLES)
-    guide = (ROOT / "service" / "api" / "README.md").read_text(encoding="utf-8")
-    unknown = {kind for kind in TITLES if f"`{kind}`" not in guide}
+    assert {"cursor-ahead", "unknown-lot", "unknown-sample"} <= kinds <= titles
+    guide = (ROOT / "service" / "web" / "README.md").read_text(encoding="utf-8")
+    unknown = {kind for kind in titles if f"`{kind}`" not in guide}
     assert {kind for kind in unknown if f"`{kind.removeprefix('unknown')}`" not in guide} == set()
 
 

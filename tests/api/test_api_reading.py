@@ -14,15 +14,16 @@ from support.outcomes import add, measured, rejected
 from support.rest import FakeControl, ReadingThread, app_of, assert_problem, client_of, particle_files
 from support.worker_jobs import Stumble, stumble, wait_for
 
-from service.api import pace, reader_process
-from service.api.feeds import MAX_SMALL, RESULT_STREAM, RESULTS, page_after
-from service.api.pace import BURST, RATE_HZ, Pace
-from service.api.pages import feed_page
-from service.api.reader_process import BusyError, ReaderProcess
-from service.api.renditions import NotKeptError, preview_png
 from service.base.errors import StoreError
+from service.particles.feeds import RESULT_STREAM, RESULTS
+from service.particles.pages import feed_page
+from service.particles.renditions import NotKeptError, preview_png
 from service.store import Store, read
 from service.store.reads import results_after
+from service.web import pace, reader_process
+from service.web.feeds import MAX_SMALL, page_after
+from service.web.pace import BURST, RATE_HZ, Pace
+from service.web.reader_process import BusyError, ReaderProcess
 
 T = TypeVar("T")
 FILES = ("mesh.ply", "mesh.stl", "mesh.glb", "preview.png", "views/c01.png", "views/c01/silhouette.png")

@@ -8,9 +8,9 @@ import pytest
 from support.recordings import SOURCE, make_bundle
 from support.rest import FakeControl, app_of, client_of
 
-from service.api.settings import ApiKey, ApiSettings
 from service.recording.recordings import RecordingsSettings, open_recordings
 from service.store import Store
+from service.web.settings import ApiKey, ApiSettings
 
 
 async def test_record_and_stop(client: httpx.AsyncClient, control: FakeControl) -> None:

@@ -12,7 +12,7 @@ from support.eventually import PATIENCE_S
 from support.outcomes import add, measured, rejected
 from support.rest import assert_problem
 
-from service.api.routes.results import ResultsPage
+from service.particles.routes.results import ResultsPage
 from service.results.fields import ALWAYS, MEASURED_FIELDS, Result
 from service.results.selection import LEAN
 from service.store import Store

@@ -20,9 +20,9 @@ from support.stores import folder_of
 from drivers.files.compact_mesh import write_compact_mesh
 from drivers.files.mesh_file import write_mesh
 from drivers.files.recording import open_recording
-from service.api.settings import ApiKey, ApiSettings, Scope
 from service.store import Store, holds
 from service.store.retention import Disk, RetentionLimits, mark_files, remove_results
+from service.web.settings import ApiKey, ApiSettings, Scope
 
 LATER = datetime.now(UTC) + timedelta(days=40)
 WIDE = Disk(10**12, 10**11)
@@ -156,7 +156,7 @@ async def record(control: FakeControl, client: httpx.AsyncClient) -> None:
 async def test_a_recording_is_downloaded_as_tar_and_deleted(
     client: httpx.AsyncClient, control: FakeControl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.api.recording_tar.PIECE_BYTES", 1000)
+    monkeypatch.setattr("service.recording.recording_tar.PIECE_BYTES", 1000)
     await record(control, client)
     answer = await client.get("/recordings/r1.tar")
     assert answer.headers["Content-Type"] == "application/x-tar"

@@ -7,7 +7,7 @@ import re
 import httpx
 import pytest
 
-from service.api.routes.screens import PAGES, POLICY, ROOT, installed_screens
+from service.web.routes.screens import PAGES, POLICY, ROOT, installed_screens
 
 HOST = "http://127.0.0.1:8080"
 

@@ -14,12 +14,12 @@ from support.sent_events import opened
 from support.served import served_by
 
 from pipeline.frames import rfc3339
-from service.api.key_file import create_key, revoke_key
-from service.api.key_guesses import MAX_WRONG
-from service.api.session_cookies import NAME, NAME_OVER_TLS
-from service.api.sessions import FILE, LONGEST_S, UNUSED_S, SessionCookie, Sessions
-from service.api.settings import ApiKey, ApiSettings, Scope, WithoutKeys
 from service.store import Store
+from service.web.key_file import create_key, revoke_key
+from service.web.key_guesses import MAX_WRONG
+from service.web.session_cookies import NAME, NAME_OVER_TLS
+from service.web.sessions import FILE, LONGEST_S, UNUSED_S, SessionCookie, Sessions
+from service.web.settings import ApiKey, ApiSettings, Scope, WithoutKeys
 
 ALL = tuple(Scope)
 HOST = "stonefall.plant:8080"
@@ -36,7 +36,7 @@ class Clock:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = time.time()
-        monkeypatch.setattr("service.api.auth.time.time", lambda: self.now_s)
+        monkeypatch.setattr("service.web.auth.time.time", lambda: self.now_s)
 
 
 @pytest.fixture
@@ -193,7 +193,7 @@ async def test_a_session_dies_with_its_key(
     end = rfc3339(time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(time.time() + 3600)))
     short = await signed_in(remote, create_key(state_dir, "short", ALL, end, "root")[1])
     assert (await remote.get("/session", headers=short)).json()["expires_at"] == end
-    monkeypatch.setattr("service.api.auth.utc_now", lambda: end)
+    monkeypatch.setattr("service.web.auth.utc_now", lambda: end)
     assert_problem(await remote.get("/results", headers=short), 401, "unauthorized")
 
 
@@ -281,7 +281,7 @@ async def test_a_disk_that_refuses_keeps_nobody_out(
     def refuse(path: Path, mode: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("service.api.sessions.replacing", refuse)
+    monkeypatch.setattr("service.web.sessions.replacing", refuse)
     cookie = await signed_in(remote, token)
     assert (await remote.get("/results", headers=cookie)).status_code == 200
     assert (await remote.delete("/session", headers={**cookie, **OURS})).status_code == 204

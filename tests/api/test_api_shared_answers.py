@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from service.api.shared_answers import SharedAnswers
+from service.web.shared_answers import SharedAnswers
 
 
 async def test_who_asks_when_an_answer_is_just_made_gets_the_next() -> None:

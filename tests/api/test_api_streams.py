@@ -12,14 +12,14 @@ from support.rest import FakeControl, app_of
 from support.sent_events import opened
 from support.served import Served, served_by
 
-from service.api import open_streams, streams
-from service.api.connections import READING_S, REQUEST_S
-from service.api.key_file import create_key, revoke_key
-from service.api.settings import ApiSettings, Scope
 from service.results.fields import ALWAYS
 from service.store import Store, open_store
 from service.store.event_log import EventLog
 from service.store.events import EventType, NewEvent
+from service.web import open_streams, streams
+from service.web.connections import READING_S, REQUEST_S
+from service.web.key_file import create_key, revoke_key
+from service.web.settings import ApiSettings, Scope
 
 
 @pytest.fixture

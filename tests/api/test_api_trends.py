@@ -11,8 +11,8 @@ from support.lots import opened, put_product
 from support.rest import FakeControl, app_of, assert_problem, client_of
 
 from pipeline.frames import rfc3339
-from service.api.settings import ApiKey, ApiSettings, Scope
 from service.store import Store
+from service.web.settings import ApiKey, ApiSettings, Scope
 
 SVG = "{http://www.w3.org/2000/svg}"
 

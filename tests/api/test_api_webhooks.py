@@ -7,10 +7,10 @@ import pytest
 from support.rest import FakeControl, app_of, assert_problem, client_of
 from support.webhook_receiver import Receiver, answer
 
-from service.api.settings import ApiKey, ApiSettings, Scope
 from service.store import Store
 from service.store.event_log import EventLog
 from service.store.events import EventType, NewEvent
+from service.web.settings import ApiKey, ApiSettings, Scope
 
 pytestmark = pytest.mark.usefixtures("webhooks")
 

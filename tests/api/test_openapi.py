@@ -11,12 +11,12 @@ import jsonschema_rs
 import pytest
 from pydantic import BaseModel
 
-from service.api.examples import EXAMPLES
-from service.api.openapi import openapi_text
-from service.api.openapi_parts import shared_answer
-from service.api.problems import PROBLEMS
-from service.api.settings import ApiSettings
+from service.daemon.rest.examples import EXAMPLES
+from service.daemon.rest.openapi import openapi_text
 from service.results.fields import ALWAYS
+from service.web.openapi_parts import shared_answer
+from service.web.problems import all_problems
+from service.web.settings import ApiSettings
 
 ROOT = Path(__file__).parents[2]
 COMMITTED = ROOT / "deploy" / "openapi.json"
@@ -24,7 +24,7 @@ COMMITTED = ROOT / "deploy" / "openapi.json"
 
 def test_the_committed_description_is_the_programs() -> None:
     assert COMMITTED.read_text(encoding="utf-8") == openapi_text(), (
-        "run: python -m service.api.openapi > deploy/openapi.json, and raise API_VERSION"
+        "run: python -m service.daemon.rest.openapi > deploy/openapi.json, and raise API_VERSION"
     )
 
 
@@ -83,7 +83,7 @@ def test_what_operations_share_is_described_once() -> None:
     ]
     assert inline == []
     assert len(COMMITTED.read_text(encoding="utf-8").splitlines()) < 15_000
-    for status, titles in PROBLEMS.items():
+    for status, titles in all_problems().items():
         answer = document["components"]["responses"][shared_answer(str(int(status)))["$ref"].split("/")[-1]]
         assert set(re.findall(r"`([a-z-]+)` \(", answer["description"])) == set(titles)
 
@@ -163,7 +163,7 @@ def test_each_operation_names_its_scope() -> None:
 
 
 def test_the_guide_names_each_resource() -> None:
-    guide = (ROOT / "service" / "api" / "README.md").read_text(encoding="utf-8")
+    guide = (ROOT / "service" / "web" / "README.md").read_text(encoding="utf-8")
     table = guide[guide.index("## Resources") : guide.index("## Generated clients")]
     resources = {path.removeprefix("/api/v1").split("{")[0].rstrip("/") for path, _, _ in operations()}
     assert len(resources) > 20

@@ -9,8 +9,8 @@ from playwright.sync_api import expect
 from support.browser import Watched, origin_of
 from support.daemon_process import DaemonProcess
 
-from service.api.key_file import create_key
-from service.api.settings import Scope
+from service.web.key_file import create_key
+from service.web.settings import Scope
 
 REFUSED = re.compile("status of 401")
 PATIENCE_MS = 300_000

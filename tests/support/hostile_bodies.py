@@ -3,9 +3,9 @@
 import json
 from collections.abc import Iterator
 
-from service.api.body_limit import MOST_PARTS
-from service.api.openapi import openapi_text
-from service.api.version import BASE
+from service.daemon.rest.openapi import openapi_text
+from service.web.body_limit import MOST_PARTS
+from service.web.version import BASE
 
 N_BYTES = 999_000
 THERE = {"lot": "L1", "product": "basalt", "alarm": "1", "particle_id": "1", "camera": "c01"}

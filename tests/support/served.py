@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from fastapi import FastAPI
 
-from service.api.connections import Connection, drop_hindering
-from service.api.server import RestServer, listen, server_config
-from service.api.settings import ApiSettings
+from service.web.connections import Connection, drop_hindering
+from service.web.server import RestServer, listen, server_config
+from service.web.settings import ApiSettings
 
 PATIENCE_S = 300.0
 

@@ -210,22 +210,22 @@ if __name__ == "__main__":
     from service.processing.compiled_code import isolate_numba_cache
 
     isolate_numba_cache()
-    import service.api.app
-    import service.api.reader_process
     import service.commands.cli
+    import service.daemon.rest.app
     import service.daemon.run
     import service.processing.measure_job
     import service.processing.worker_imports
     import service.store  # so that nothing is left to import after the fork
+    import service.web.reader_process
     from service.processing.process_memory import freeze_gc
 
     for command in service.commands.cli.COMMANDS.values():
         __import__(command)
-    routes = service.api.app.build_routes()
+    routes = service.daemon.rest.app.build_routes()
     routes.openapi()  # what FastAPI makes at first use
-    service.api.app.build_routes = lambda: routes
+    service.daemon.rest.app.build_routes = lambda: routes
     # stones get measured and who looks gets an answer also beside processes that compute
-    service.processing.measure_job.NICENESS, service.api.reader_process.NICENESS = 1, 2
+    service.processing.measure_job.NICENESS, service.web.reader_process.NICENESS = 1, 2
     asyncio.Handle._run = _told(asyncio.Handle._run)  # type: ignore[attr-defined,method-assign]  # not in its stubs
     freeze_gc()
     if _serve():

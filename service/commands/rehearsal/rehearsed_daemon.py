@@ -14,9 +14,9 @@ from typing import Any
 
 import tomli_w
 
-from service.api.version import BASE
 from service.base.errors import ServiceError
 from service.commands.rehearsal.wall_clock import set_ahead
+from service.web.version import BASE
 
 HOST = "127.0.0.1"
 PATIENCE_S = 300.0

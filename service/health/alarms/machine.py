@@ -11,9 +11,10 @@ back to unacknowledged if the cause is there, else it ends. At most one alarm of
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from http import HTTPStatus
 from typing import Any
 
-from service.base.errors import ServiceError
+from service.base.errors import ProblemError, ProblemKind
 from service.base.status import HealthCheck
 from service.health.alarms.alarm import ACTIVE, ANNOUNCED, Alarm, AlarmState
 from service.health.alarms.rules import Priority, Rule, Rules
@@ -22,8 +23,10 @@ from service.store.events import EventType
 MAX_SHELVED_S = 24 * 3600.0
 
 
-class AlarmConflictError(ServiceError):
+class AlarmConflictError(ProblemError):
     """The alarm's state does not allow what was asked for."""
+
+    kinds = (ProblemKind("alarm-conflict", HTTPStatus.CONFLICT, "The alarm does not allow this now"),)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
-from service.base.errors import ServiceError
+from service.base.errors import InvalidRequestError
 from service.base.schema import ANSWER, REQUEST, TIME, GivenTime, Time
 from service.store import audit
 from service.store.events import EventType, NewEvent, note_event
@@ -32,7 +32,7 @@ class DiaryKind(StrEnum):
     OTHER = "other"
 
 
-class FutureEntryError(ServiceError):
+class FutureEntryError(InvalidRequestError):
     """The entry is of a time that has not come."""
 
 
@@ -85,7 +85,7 @@ def note_entry(connection: sqlite3.Connection, new: DiaryRequest, who: str) -> D
     now = utc_now()
     at = new.at or now
     if at > rfc3339(datetime.now(UTC) + timedelta(seconds=CLOCKS_DIFFER_S)):
-        raise FutureEntryError(f"at: {at} is in the future, it is {now}")
+        raise FutureEntryError(f"body.at: {at} is in the future, it is {now}")
     with transaction(connection):
         (number,) = connection.execute("SELECT coalesce(max(entry), 0) + 1 FROM diary").fetchone()
         noted = DiaryEntry(

@@ -241,7 +241,7 @@ def test_a_key_that_is_new_since_the_answer_ends_a_long_pause(feed: FakeFeed, lo
     asking = connect(feed)
     keys = iter(["old", *looked_at])
     asking.key = lambda: next(keys)
-    with pytest.raises(client.RefusedError):
+    with pytest.raises(client.ProblemError):
         asking.get("/results")
     asking.pause(3600)
 
@@ -288,7 +288,7 @@ def test_a_post_is_repeated_with_one_key_and_refused_once(feed: FakeFeed) -> Non
     assert feed.asked[-1][2]["Idempotency-Key"] == "mine"
     assert feed.asked[-2][2]["Idempotency-Key"] not in keys
     feed.next_answers += [Refusal(409, "lot-conflict")]
-    with pytest.raises(client.RefusedError) as refused:
+    with pytest.raises(client.ProblemError) as refused:
         asking.post("/lots", {"lot": "L-4"})
     assert (refused.value.status, refused.value.kind) == (409, "lot-conflict")
 

@@ -11,11 +11,11 @@ from drivers.errors import RecordingError
 from drivers.files.bounded import read_bounded
 from drivers.files.durable import read_json
 from drivers.files.png_file import read_png
-from service.api.key_file import KeyFileError, read_keys
 from service.base.errors import SettingsError, VolumeModelError
 from service.configuration.settings import load_settings
 from service.configuration.volume_models import read_volume_model
 from service.delivery.settings import WebhookEndpoint
+from service.web.key_file import KeyFileError, read_keys
 
 
 def secret_of(path: Path) -> list[bytes]:

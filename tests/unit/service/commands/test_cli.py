@@ -8,9 +8,9 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
-from service.api.version import API_VERSION
 from service.commands.cli import build_app
 from service.results.version import ALGORITHM_VERSION
+from service.web.version import API_VERSION
 
 PYPROJECT = Path(__file__).parents[4] / "pyproject.toml"
 

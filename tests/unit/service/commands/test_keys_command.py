@@ -13,9 +13,9 @@ from support.configurations import REPLAY
 from typer.testing import CliRunner, Result
 
 from drivers.files.durable import unfinished
-from service.api.key_file import KEYS, LOCK, PREFIX, KeyFileError, create_key, read_keys, sha256_of
-from service.api.settings import Scope
 from service.commands.cli import build_app
+from service.web.key_file import KEYS, LOCK, PREFIX, KeyFileError, create_key, read_keys, sha256_of
+from service.web.settings import Scope
 
 CONFIG = f"""
 {REPLAY}[[api.keys]]

@@ -21,14 +21,14 @@ from pipeline.frames import Frame, FrameBundle, Trigger
 from pipeline.measuring.volume_correction import VolumeModel
 from pipeline.particle import PipelineParameters
 from pipeline.rig.design import nominal_rig
-from service.api.key_file import KEYS, create_key, revoke_key
-from service.api.settings import ApiKey, Scope
 from service.base.errors import SettingsError, VolumeModelError
 from service.commands.cli import build_app
 from service.configuration.rig_settings import AravisRigSettings, CameraPlace
 from service.configuration.settings import Settings, load_settings, problems, shortcomings, warnings
 from service.configuration.volume_models import read_volume_model, write_volume_model
 from service.delivery.settings import FileDropSettings, WebhookEndpoint
+from service.web.key_file import KEYS, create_key, revoke_key
+from service.web.settings import ApiKey, Scope
 
 DEPLOY = Path(__file__).parents[4] / "deploy"
 

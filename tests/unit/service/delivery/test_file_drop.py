@@ -13,16 +13,16 @@ import pytest
 from support.eventually import PATIENCE_S, soon
 from support.outcomes import add, measured, trigger
 
-from service.api.lot_reports import FilesFailedError, ReportRequest, lot_files
 from service.base.language import Language
 from service.base.status import trouble_check
+from service.daemon.lot_files import FilesFailedError, lot_files
 from service.delivery.file_drop import ANSWER_S, FileDrop, LotFiles, due_lots, open_file_drop
 from service.delivery.settings import DropFormat, FileDropSettings
 from service.health.alarms.rules import load_rules
 from service.lots.lots import LotDefinition, assign, close_lot, open_lot, void_lot
 from service.lots.products import ProductDefinition, save_product
 from service.lots.yardsticks import Request
-from service.reports.report import ReportFormat
+from service.reports.lot_reports import ReportRequest, RigStanding
 from service.store import Store
 
 STONE = {
@@ -59,10 +59,8 @@ class Files:
             raise FilesFailedError("ValueError: a figure is no number")
         wanted = ReportRequest(
             figures=Request(),
-            report_format=ReportFormat.CSV,
             language=Language.ENGLISH,
-            verification=None,
-            is_verification_overdue=False,
+            rig=RigStanding(verification=None, is_overdue=False),
         )
         self.made.append(lot)
         store = self._store

@@ -12,7 +12,7 @@ from support.webhook_receiver import KEY, OTHER_KEY, SECRET, is_signed, secret_o
 from service.delivery.message import MAX_BYTES, message_of, trial_message
 from service.delivery.signatures import key_of, signatures
 
-GUIDE = Path(__file__).parents[4] / "service" / "api" / "README.md"
+GUIDE = Path(__file__).parents[4] / "service" / "web" / "README.md"
 INSTANCE = "141fc8a1-0136-4f71-9b89-bda3f11805d3"
 
 

@@ -80,13 +80,13 @@ async def test_one_at_a_time_and_every_name_once(tmp_path: Path):
     plans = [RecordingRequest(name=name, count=5) for name in ("r1", "r2")]
     results = await asyncio.gather(*map(recordings.start, plans), return_exceptions=True)
     (refused,) = [error for error in results if isinstance(error, RecordingRefusedError)]
-    assert refused.refusal is Refusal.RUNNING
+    assert refused.kind is Refusal.RUNNING
     (running,) = await recordings.all()
     offer(recordings, 1)
     assert (await recordings.stop(running.name)) == await recordings.stop(running.name)
     with pytest.raises(RecordingRefusedError, match=running.name) as caught:
         await recordings.start(RecordingRequest(name=running.name, count=1))
-    assert caught.value.refusal is Refusal.EXISTS
+    assert caught.value.kind is Refusal.EXISTS
     await recordings.start(RecordingRequest(name="r3", count=1))
     offer(recordings, 2)
     await recordings.close()
@@ -120,7 +120,7 @@ async def test_without_room_nothing_is_started(tmp_path: Path):
     recordings = opened(tmp_path, reserve_gb=100_000.0)
     with pytest.raises(RecordingRefusedError, match="make room or record less") as caught:
         await recordings.start(RecordingRequest(name="r1", count=1))
-    assert caught.value.refusal is Refusal.NO_ROOM
+    assert caught.value.kind is Refusal.NO_ROOM
     assert await recordings.all() == []
 
 

@@ -76,7 +76,7 @@ async def test_what_was_measured_elsewhere_becomes_one_revision(
 async def assert_refused(again: Remeasuring, store: Store, name: str, order: str, why: Hindrance) -> str:
     with pytest.raises(RemeasureError) as refused:
         await again.orders.deliver(name, order, "anna")
-    assert refused.value.why is why
+    assert refused.value.kind is why
     newest = await store.particle(name)
     assert newest is not None and newest["revision"] == 1
     return str(refused.value)
@@ -128,7 +128,7 @@ async def test_an_order_that_is_delivered_twice_at_once_is_taken_once(
     deliveries = [again.orders.deliver(name, folder.name, "anna") for _ in range(2)]
     taken, refused = await asyncio.gather(*deliveries, return_exceptions=True)
     assert taken is True
-    assert isinstance(refused, RemeasureError) and refused.why is Hindrance.NO_ORDER
+    assert isinstance(refused, RemeasureError) and refused.kind is Hindrance.NO_ORDER
     newest = await store.particle(name)
     assert newest is not None
     assert (newest["revision"], newest["mesh"]) == (2, "particles/2/mesh.ply")

@@ -76,7 +76,7 @@ async def assert_hindered(again: Remeasuring, store: Store, name: str, why: Hind
     before = store.last_seq
     with pytest.raises(RemeasureError) as refused:
         await again.measure(name, "anna")
-    assert refused.value.why is why
+    assert refused.value.kind is why
     assert store.last_seq == before
     newest = await store.particle(name)
     assert newest is None or newest["revision"] == 1

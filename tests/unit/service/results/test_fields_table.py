@@ -5,7 +5,7 @@ from pathlib import Path
 from service.results.fields import Result
 from service.results.table import BEGIN, END, fields_table
 
-GUIDE = Path(__file__).parents[4] / "service" / "api" / "README.md"
+GUIDE = Path(__file__).parents[4] / "service" / "web" / "README.md"
 
 
 def test_the_table_in_the_guide_is_the_programs() -> None:

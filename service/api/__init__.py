@@ -1,1 +1,0 @@
-"""REST: problems, keys, streams, the OpenAPI document. Begin at `app`; `routes/` has a module each resource."""

@@ -1,0 +1,1 @@
+"""The REST interface assembled from the routes of all rooms: application, OpenAPI document, metrics."""

@@ -1,0 +1,129 @@
+"""The REST application, assembled from its routes."""
+
+from functools import partial
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.responses import HTMLResponse
+
+import service.acquisition.routes
+import service.calibration.routes
+import service.daemon.rest.routes
+import service.delivery.routes
+import service.health.routes
+import service.lots.routes
+import service.particles.routes
+import service.recording.routes
+import service.remeasuring.routes
+import service.reports.routes
+import service.web.routes
+from service.daemon.overview.overviews import Overviews
+from service.daemon.rest.description import DESCRIPTION, SERVERS, TAGS, complete
+from service.store import Store
+from service.web.auth import has_right_key
+from service.web.body_limit import BodyLimit
+from service.web.context import ApiContext
+from service.web.control import Control
+from service.web.docs import docs_page
+from service.web.foreign_pages import ForeignPages
+from service.web.gzipped import GzippedJson
+from service.web.idempotency import AnsweredBeforeError, IdempotentPosts, repeat_answer
+from service.web.key_ring import KeyRing
+from service.web.pace import PacedRequests
+from service.web.pieces import Piecewise
+from service.web.problems import install_handlers
+from service.web.reader_process import Reading
+from service.web.request_ids import RequestIds
+from service.web.routes import screens
+from service.web.sessions import Sessions
+from service.web.settings import ApiSettings
+from service.web.version import API_VERSION, BASE
+
+ROOMS = (
+    service.acquisition.routes,
+    service.recording.routes,
+    service.calibration.routes,
+    service.reports.routes,
+    service.lots.routes,
+    service.remeasuring.routes,
+    service.particles.routes,
+    service.health.routes,
+    service.web.routes,
+    service.delivery.routes,
+    service.daemon.rest.routes,
+)
+"""Every room with routes, in the order of the OpenAPI document."""
+
+
+def create_app(
+    store: Store, control: Control, settings: ApiSettings, reading: Reading, keys: KeyRing
+) -> FastAPI:
+    """Build the application that serves `store` and steers `control`; what takes long is made by `reading`."""
+    app = build_routes()
+    app.state.context = ApiContext(
+        store=store,
+        control=control,
+        settings=settings,
+        reading=reading,
+        keys=keys,
+        sessions=Sessions(store.dir),
+    )
+    app.state.overviews = Overviews(store, control, reading)
+    app.add_middleware(IdempotentPosts, store=store)  # the innermost: what the others refuse is not kept
+    app.add_middleware(GzippedJson, reading=reading)
+    app.add_middleware(ForeignPages, settings=settings)
+    app.add_middleware(BodyLimit, max_body_bytes=settings.max_body_bytes)
+    app.add_middleware(PacedRequests, is_known=partial(has_right_key, context=app.state.context))
+    app.add_middleware(Piecewise)
+    app.add_middleware(RequestIds)  # the outermost: every answer has one
+    return app
+
+
+def build_routes() -> FastAPI:
+    """Build the application without store and daemon: enough to generate the OpenAPI document."""
+    app = FastAPI(
+        title="stonefall",
+        version=API_VERSION,
+        summary="The shape of every stone that leaves the crusher",
+        description=DESCRIPTION,
+        servers=SERVERS,
+        openapi_tags=[{"name": tag, "description": text} for tag, text in TAGS.items()],
+        openapi_url=f"{BASE}/openapi.json",
+        docs_url=None,  # FastAPI's own pages load scripts from a public network: dead in a plant
+        redoc_url=None,
+        redirect_slashes=False,
+        generate_unique_id_function=lambda route: route.name,
+        responses={"default": {}},  # any other problem; without it FastAPI describes a 422 of its own
+    )
+    for room in ROOMS:
+        for router in room.ROUTERS:
+            app.include_router(router, prefix=BASE)
+
+    app.include_router(screens.router)
+
+    @app.get(f"{BASE}/docs", include_in_schema=False)
+    async def docs() -> HTMLResponse:
+        return HTMLResponse(
+            docs_page(app.openapi()),
+            headers={"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'"},
+        )
+
+    install_handlers(app)
+    app.add_exception_handler(AnsweredBeforeError, repeat_answer)
+    _describe(app)
+    return app
+
+
+def _describe(app: FastAPI) -> None:
+    """Complete the OpenAPI document of the routes."""
+    generate = app.openapi
+    completed: list[dict[str, Any]] = []
+
+    def openapi() -> dict[str, Any]:
+        if not completed:
+            document = generate()
+            complete(document)
+            completed.append(document)
+        return completed[0]
+
+    app.openapi = openapi  # type: ignore[method-assign]  # FastAPI's documented way to extend it

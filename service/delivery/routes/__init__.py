@@ -1,0 +1,5 @@
+"""Routes of webhooks."""
+
+from service.delivery.routes import webhooks
+
+ROUTERS = (webhooks.router,)

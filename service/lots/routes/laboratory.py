@@ -1,0 +1,217 @@
+"""The laboratory's sievings of lots, and the correlation study of a product."""
+
+from dataclasses import asdict
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipeline.gradation.correlation import MappingForm
+from service.base.schema import TIME, Name
+from service.lots.documents import sieving_document, sievings_json
+from service.lots.laboratory import (
+    MOST_SIEVES,
+    Correlation,
+    Sieving,
+    SievingError,
+    add_sieving,
+    correlations,
+    keep_study,
+    parse_table,
+    study_of,
+)
+from service.lots.lots import find_lot
+from service.lots.products import find_product
+from service.lots.routes.lot_figures import Measuring
+from service.lots.routes.lots import LotName
+from service.lots.routes.products import ProductName
+from service.lots.samples import Conditions, SampleStudy, sample_study
+from service.store import read
+from service.web.auth import CONFIGURABLE, OPERABLE, READABLE, Who
+from service.web.context import Context
+from service.web.problems import existing, problem_responses
+
+router = APIRouter(tags=["laboratory"])
+
+
+class SievingRequest(BaseModel):
+    """What a laboratory found: `retained_g` with `pan_g`, or a `table` as it is copied from a spreadsheet."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    retained_g: dict[Annotated[str, Field(pattern=r"^[0-9]{1,3}(\.[0-9]{1,4})?$")], float] | None = Field(
+        default=None, max_length=MOST_SIEVES, description="Grams retained on each sieve, by aperture in mm"
+    )
+    pan_g: float = Field(default=0.0, description="Grams in the pan")
+    table: Annotated[str, Field(max_length=20_000)] | None = Field(
+        default=None,
+        description="Lines of aperture in mm (or `pan`), semicolon or tab, mass in g, or in kg where it says so",
+    )
+    sample_id: Name | None = Field(default=None, description="Id of the laboratory sample")
+    by: Name | None = Field(default=None, description="Who sieved")
+    remark: Annotated[str, Field(max_length=2000)] | None = Field(
+        default=None, description="Whatever else is to be kept with it"
+    )
+
+
+class SievingDocument(BaseModel):
+    """A sieving of a lot."""
+
+    sieving: int = Field(description="Number of the sieving")
+    at: str = Field(description="When it was entered, RFC 3339 UTC", json_schema_extra=TIME)
+    retained_g: dict[str, float] = Field(
+        description="Mass retained on each sieve (EN 933-1), g, by aperture in mm"
+    )
+    pan_g: float = Field(description="Mass in the pan, g")
+    mass_g: float = Field(description="Mass of all fractions, g")
+    passing_percent: dict[str, float] = Field(description="By aperture in mm")
+    sample_id: str | None = Field(description="Id of the laboratory sample")
+    by: str | None = Field(description="Who sieved")
+    remark: str | None = Field(description="As it was given")
+
+
+class Sievings(BaseModel):
+    """All sievings of a lot, in their order."""
+
+    items: list[SievingDocument] = Field(description="In the order in which they were entered")
+
+
+class StudyRequest(BaseModel):
+    """A correlation study over all lots of a product that were sieved."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    form: MappingForm = Field(
+        default=MappingForm.FACTOR, description="One factor for all sizes, or a rising mapping"
+    )
+
+
+class CorrelationDocument(BaseModel):
+    """One version of a study: how the instrument's sizes become those of the laboratory's sieves."""
+
+    product: str = Field(description="Id of the product")
+    version: int = Field(description="Number of the study, from 1")
+    at: str = Field(description="When it was made, RFC 3339 UTC", json_schema_extra=TIME)
+    form: MappingForm = Field(description="`factor`: one factor for all sizes; otherwise a rising mapping")
+    factor: float = Field(description="Sieve's size by the instrument's, mean of all sizes")
+    instrument_mm: list[float] = Field(description="Knots of the mapping; one knot is one factor")
+    sieve_mm: list[float] = Field(description="Sizes of the laboratory's sieves at the knots, mm")
+    relative_se: list[float | None] = Field(
+        description="Standard error at each knot, from lot to lot; null with one lot"
+    )
+    n_lots: int = Field(description="Lots that were sieved and measured")
+    n_points: int = Field(description="Points of all curves that were compared")
+    raw_rmse: float = Field(description="Points of passing by which raw curves miss the laboratory's")
+    raw_bias: float = Field(description="Mean of raw minus the laboratory's passing, percentage points")
+    rmse: float = Field(description="The same with the mapping, on the lots that it was fitted to")
+    held_out_rmse: float | None = Field(
+        description="Each lot by the mapping of the others; null with one lot"
+    )
+    held_out_bias: float | None = Field(
+        description="Mean of these differences, each lot by the mapping of the others, percentage points; null with one"
+        " lot"
+    )
+
+
+class Correlations(BaseModel):
+    """All versions of a product's study, the newest first; the newest is in use."""
+
+    items: list[CorrelationDocument] = Field(description="Newest first")
+
+
+@router.post(
+    "/lots/{lot}/sieving",
+    status_code=201,
+    response_model=SievingDocument,
+    dependencies=OPERABLE,
+    responses=problem_responses(404, 409),
+)
+async def post_sieving(context: Context, lot: LotName, wanted: SievingRequest, asking: Who) -> dict[str, Any]:
+    """Store a sieving of the laboratory: of a portion of a lot, to be shown beside the instrument's curve."""
+    existing(await context.store.read(find_lot, lot), "lot", lot)
+    sieving = _sieving(wanted)
+    context.store.require_writable()
+    return sieving_document(await context.store.write(add_sieving, lot, sieving, asking))
+
+
+@router.get(
+    "/lots/{lot}/sieving", response_model=Sievings, dependencies=READABLE, responses=problem_responses(404)
+)
+async def list_sievings(context: Context, lot: LotName) -> Response:
+    """List a lot's sievings of the laboratory."""
+    existing(await context.store.read(find_lot, lot), "lot", lot)
+    content = await context.reading.run(read, context.store.path, sievings_json, lot)
+    return Response(content, media_type="application/json")
+
+
+@router.post(
+    "/products/{product}/correlations",
+    status_code=201,
+    response_model=CorrelationDocument,
+    dependencies=CONFIGURABLE,
+    responses=problem_responses(404, 409),
+)
+async def post_correlation(
+    context: Context, product: ProductName, wanted: StudyRequest, asking: Who
+) -> dict[str, Any]:
+    """Correlate the instrument with a product's sievings; lots show both curves from now on."""
+    existing(await context.store.read(find_product, product), "product", product)
+    context.store.require_writable()
+    found = await context.reading.run(read, context.store.path, study_of, product, wanted.form)
+    return _flat(await context.store.write(keep_study, product, found, asking))
+
+
+@router.get(
+    "/products/{product}/correlations",
+    response_model=Correlations,
+    dependencies=READABLE,
+    responses=problem_responses(404),
+)
+async def list_correlations(context: Context, product: ProductName) -> dict[str, Any]:
+    """List the correlation studies of a product, newest first."""
+    existing(await context.store.read(find_product, product), "product", product)
+    return {"items": [_flat(each) for each in await context.store.read(correlations, product)]}
+
+
+@router.get(
+    "/repeatability",
+    dependencies=READABLE,
+    responses=problem_responses(404, 409),
+)
+async def get_repeatability(
+    context: Context,
+    measuring: Measuring,
+    sample_id: Annotated[str, Query(min_length=1, max_length=200, description="Of the lots to compare")],
+    conditions: Annotated[
+        Conditions, Query(description="What runs under equal conditions have in common")
+    ] = Conditions.DAY,
+) -> SampleStudy:
+    """Get the repeatability of a sample: of the same stones dropped again in closed lots, by others, elsewhere."""
+    found: SampleStudy | None = await context.reading.run(
+        read, context.store.path, sample_study, sample_id, conditions, measuring
+    )
+    return existing(found, "sample", sample_id)
+
+
+def _sieving(wanted: SievingRequest) -> Sieving:
+    words = wanted.model_dump(include={"sample_id", "by", "remark"})
+    if (wanted.retained_g is None) == (wanted.table is None):
+        raise SievingError("retained_g, table: give one of them")
+    if wanted.table is not None:
+        return parse_table(wanted.table, **words)
+    given = wanted.retained_g or {}
+    retained_g = {float(aperture): grams for aperture, grams in given.items()}
+    if len(retained_g) < len(given):
+        raise SievingError("retained_g: a sieve is there twice")
+    return Sieving(retained_g=retained_g, pan_g=wanted.pan_g, **words)
+
+
+def _flat(correlation: Correlation) -> dict[str, Any]:
+    found = correlation.study
+    document = {
+        **asdict(correlation),
+        **asdict(found),
+        **asdict(found.mapping),
+        "factor": found.mapping.factor,
+    }
+    return {name: value for name, value in document.items() if name not in ("study", "mapping")}

@@ -1,0 +1,138 @@
+"""The figures of a lot, and the stones behind each step of its curve."""
+
+from math import inf
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Query, Response
+from pydantic import BaseModel, Field
+
+from service.lots.documents import lot_figures_json
+from service.lots.figures import LotFigures
+from service.lots.lots import find_lot
+from service.lots.products import find_product
+from service.lots.routes.lots import LotName
+from service.lots.shifts import LotsSettings
+from service.lots.stored_stones import Choice, StoneBehindStep, stones_behind, versions_of_lot
+from service.lots.yardsticks import Request, yardstick_of
+from service.store import read
+from service.web.auth import READABLE
+from service.web.context import Context
+from service.web.problems import existing, problem_responses
+
+router = APIRouter(prefix="/lots", tags=["lots"], dependencies=READABLE)
+
+
+class StonesBehindStep(BaseModel):
+    """The stones of a lot, or those that pass one sieve and not the next smaller one, the heaviest first."""
+
+    above_mm: float = Field(
+        description="Aperture of the next smaller sieve of the set, mm; 0 below the smallest, and of all stones"
+    )
+    up_to_mm: float | None = Field(description="Aperture of the upper sieve, mm; null: all stones of the lot")
+    items: list[StoneBehindStep] = Field(description="The heaviest first")
+
+
+class LotVersion(BaseModel):
+    """A version of the algorithms, and how much of a lot it has measured."""
+
+    algorithm_version: str = Field(description="As results name it")
+    n_stones: int = Field(description="Stones of the lot that have a revision by it")
+
+
+class LotVersions(BaseModel):
+    """All versions that have measured stones of a lot, as far as results are kept."""
+
+    items: list[LotVersion] = Field(description="By name")
+
+
+async def request_of(
+    context: Context,
+    sieve_set: Annotated[str | None, Query(max_length=200, description="Another than the product's")] = None,
+    specification: Annotated[
+        str | None, Query(max_length=200, description="Another than the product's")
+    ] = None,
+) -> Request:
+    """Return the yardsticks of a request: sieve set, specification and measured sizes."""
+    return Request(
+        sieve_set=sieve_set, specification=specification, measured=context.part(LotsSettings).measured
+    )
+
+
+def choice_of(
+    without: Annotated[
+        list[Annotated[str, Field(max_length=100)]] | None,
+        Query(
+            max_length=100,
+            description="Ids of stones to leave out, as if they had not fallen; nothing of it is stored",
+        ),
+    ] = None,
+    algorithm_version: Annotated[
+        str | None,
+        Query(
+            max_length=200,
+            description="Of each stone the newest revision by this version, the others not at all",
+        ),
+    ] = None,
+) -> Choice:
+    """Return the choice of stones: those left out, and the algorithm version."""
+    return Choice(without=tuple(sorted(set(without or ()))), algorithm_version=algorithm_version)
+
+
+Measuring = Annotated[Request, Depends(request_of)]
+Choosing = Annotated[Choice, Depends(choice_of)]
+
+
+@router.get(
+    "/{lot}/gradation",
+    response_model=LotFigures,
+    responses=problem_responses(404),
+)
+async def gradation(
+    context: Context,
+    lot: LotName,
+    measuring: Measuring,
+    choosing: Choosing,
+) -> Response:
+    """Get the gradation of a lot: through the sieves and specification of its product, or through any other.
+
+    `without` and `algorithm_version` ask what they would be of other stones; the document repeats what was asked.
+    """
+    content = await context.reading.run(read, context.store.path, lot_figures_json, lot, measuring, choosing)
+    return Response(existing(content, "lot", lot), media_type="application/json")
+
+
+@router.get("/{lot}/algorithm-versions", response_model=LotVersions, responses=problem_responses(404))
+async def algorithm_versions(context: Context, lot: LotName) -> dict[str, Any]:
+    """List the algorithm versions that have measured stones of a lot, each with the number of stones."""
+    existing(await context.store.read(find_lot, lot), "lot", lot)
+    found = await context.reading.run(read, context.store.path, versions_of_lot, lot)
+    items = [{"algorithm_version": version, "n_stones": n_stones} for version, n_stones in found.items()]
+    return {"items": items}
+
+
+@router.get(
+    "/{lot}/particles",
+    responses=problem_responses(404),
+)
+async def particles_behind_step(
+    context: Context,
+    lot: LotName,
+    measuring: Measuring,
+    sieve: Annotated[
+        float | None,
+        Query(gt=0, le=1000, description="Aperture of the upper sieve, mm; all stones when absent"),
+    ] = None,
+    limit: Annotated[int, Query(ge=1, le=1000, description="Stones of the answer, at most")] = 100,
+) -> StonesBehindStep:
+    """List the heaviest stones of a lot, or those behind a step of its curve.
+
+    Behind a step are the stones that pass this sieve and not the next smaller one of the set.
+    """
+    record = existing(await context.store.read(find_lot, lot), "lot", lot)
+    product = await context.store.read(find_product, record.product, record.version)
+    definition = None if product is None else product.definition
+    apertures_mm = yardstick_of(definition, measuring).apertures_mm
+    above_mm = max((each for each in apertures_mm if sieve is not None and each < sieve), default=0.0)
+    up_to_mm = inf if sieve is None else sieve
+    items = await context.store.read(stones_behind, lot, above_mm, up_to_mm, limit)
+    return StonesBehindStep(above_mm=above_mm, up_to_mm=sieve, items=items)

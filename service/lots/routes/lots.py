@@ -1,0 +1,221 @@
+"""Lots of the plant: opened, closed, voided; the stones that are assigned to them."""
+
+import re
+import sqlite3
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Query, Response
+from fastapi import Request as HttpRequest
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.base.ids import ID
+from service.base.schema import REQUEST, TIME, GivenTime, adds_to
+from service.lots.evaluation import lot_document
+from service.lots.figures import LotDocument
+from service.lots.lots import (
+    LotDefinition,
+    LotRecord,
+    LotState,
+    Tonnage,
+    assign,
+    close_lot,
+    find_lot,
+    lots,
+    open_lot,
+    void_lot,
+)
+from service.web.auth import OPERABLE, READABLE, Who
+from service.web.context import ApiContext, Context
+from service.web.etags import NOT_MODIFIED, TAGGED, IfMatch, change_if_match, etag, unchanged
+from service.web.feeds import MAX_SEQ
+from service.web.problems import existing, problem_responses
+from service.web.version import BASE
+
+router = APIRouter(prefix="/lots", tags=["lots"])
+
+LotName = Annotated[str, Path(pattern=ID, description="Id of the lot")]
+STONES = re.compile('-[0-9]+(?=")')
+"""The number of stones in the tag of a lot."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LotRequest(LotDefinition):
+    """A lot to open, in the words of ISA-95."""
+
+    __pydantic_config__ = adds_to(LotDefinition, REQUEST)
+
+    product: Annotated[str, Field(pattern=ID)]
+    """Material definition."""
+    product_version: Annotated[int, Field(ge=1, le=MAX_SEQ, strict=True)] | None = None
+    """The newest when absent."""
+
+    @property
+    def definition(self) -> LotDefinition:
+        return LotDefinition(**{each.name: getattr(self, each.name) for each in fields(LotDefinition)})
+
+
+class CloseRequest(BaseModel):
+    """What is known of a lot at its end."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    tonnage_t: Tonnage | None = Field(default=None, description="Of the whole lot, t")
+
+
+class VoidRequest(BaseModel):
+    """Why a lot counts no more."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    reason: Annotated[str, Field(min_length=1, max_length=2000)] = Field(
+        description="Why it counts no more; kept with the lot and in the audit"
+    )
+
+
+class AssignRequest(BaseModel):
+    """A time, whose stones outside of any lot are to be in this one."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    since: Annotated[GivenTime, Field(description="Captured at or after", json_schema_extra=TIME)]
+    until: Annotated[GivenTime, Field(description="Captured before", json_schema_extra=TIME)]
+
+
+class LotsPage(BaseModel):
+    """Lots, newest first."""
+
+    items: list[LotDocument] = Field(description="Newest first")
+    next_before: str | None = Field(description="Pass as `before` for the next page; null on the last")
+
+
+class Assigned(BaseModel):
+    """What an assignment changed."""
+
+    lot: LotDocument = Field(description="The lot as it is now")
+    n_assigned: int = Field(description="Stones that are in the lot now and were in none")
+
+
+@router.post(
+    "",
+    status_code=201,
+    response_model=LotDocument,
+    dependencies=OPERABLE,
+    responses={**TAGGED, **problem_responses(404, 409)},
+)
+async def post_lot(context: Context, wanted: LotRequest, response: Response, asking: Who) -> LotDocument:
+    """Open a lot: what falls from now on is in it, whenever it is measured.
+
+    The same request again returns the open lot. 409 `lot-conflict` while another is open, or if this one was.
+    """
+    context.store.require_writable()
+    record = await context.store.write(
+        open_lot, wanted.definition, wanted.product, wanted.product_version, asking
+    )
+    response.headers["Location"] = f"{BASE}/lots/{wanted.lot}"
+    return _served(response, record)
+
+
+@router.get("", response_model=LotsPage, dependencies=READABLE)
+async def list_lots(
+    context: Context,
+    state: Annotated[LotState | None, Query(description="Only lots in this state")] = None,
+    product: Annotated[str | None, Query(max_length=64, description="Only lots of this product")] = None,
+    before: Annotated[GivenTime | None, Query(description="Opened before, RFC 3339")] = None,
+    limit: Annotated[int, Query(ge=1, le=1000, description="Lots of a page, at most")] = 100,
+) -> LotsPage:
+    """List the lots, newest first."""
+    found = await context.store.read(lots, state, product, before, limit + 1)
+    items = [lot_document(each) for each in found[:limit]]
+    return LotsPage(items=items, next_before=items[-1].opened_at if len(found) > limit else None)
+
+
+@router.get(
+    "/{lot}",
+    response_model=LotDocument,
+    dependencies=READABLE,
+    responses={**NOT_MODIFIED, **problem_responses(404)},
+)
+async def get_lot(context: Context, asked: HttpRequest, response: Response, lot: LotName) -> Any:
+    """Get a lot; its `ETag` is for `If-Match` of a change."""
+    record = existing(await context.store.read(find_lot, lot), "lot", lot)
+    return unchanged(asked, _tag(record)) or _served(response, record)
+
+
+@router.post(
+    "/{lot}/close",
+    response_model=LotDocument,
+    dependencies=OPERABLE,
+    responses=problem_responses(404, 409, 412),
+)
+async def post_close(
+    context: Context,
+    lot: LotName,
+    wanted: CloseRequest,
+    asking: Who,
+    response: Response,
+    if_match: IfMatch = None,
+) -> LotDocument:
+    """Close a lot; what fell before stays in it, though it is measured later. A closed one stays as it is."""
+    context.store.require_writable()
+    return _served(response, await _changed(context, lot, if_match, close_lot, wanted.tonnage_t, asking))
+
+
+@router.post(
+    "/{lot}/void", response_model=LotDocument, dependencies=OPERABLE, responses=problem_responses(404, 412)
+)
+async def post_void(
+    context: Context,
+    lot: LotName,
+    wanted: VoidRequest,
+    asking: Who,
+    response: Response,
+    if_match: IfMatch = None,
+) -> LotDocument:
+    """Declare a lot void: it counts no more, and is kept."""
+    context.store.require_writable()
+    return _served(response, await _changed(context, lot, if_match, void_lot, wanted.reason, asking))
+
+
+@router.post(
+    "/{lot}/assign", response_model=Assigned, dependencies=OPERABLE, responses=problem_responses(404, 409)
+)
+async def post_assign(context: Context, lot: LotName, wanted: AssignRequest, asking: Who) -> Assigned:
+    """Assign stones to a lot: those of a time that are in no lot; the audit keeps who did it."""
+    context.store.require_writable()
+    done = await context.store.write(assign, lot, wanted.since, wanted.until, asking)
+    record, n_assigned = existing(done, "lot", lot)
+    return Assigned(lot=lot_document(record), n_assigned=n_assigned)
+
+
+def _served(response: Response, record: LotRecord) -> LotDocument:
+    response.headers["ETag"] = _tag(record)
+    return lot_document(record)
+
+
+def _tag(record: LotRecord) -> str:
+    """Return the version of a lot: what the plant says of it, and how many stones it has."""
+    return f'{_tag_of_facts(record)[:-1]}-{record.n_stones}"'
+
+
+def _tag_of_facts(record: LotRecord) -> str:
+    return etag(asdict(replace(record, n_stones=0)))
+
+
+async def _changed(
+    context: ApiContext,
+    lot: str,
+    if_match: str | None,
+    change: Callable[..., LotRecord | None],
+    *given: object,
+) -> LotRecord:
+    """Return the lot after a change; for `If-Match`, stones that fell meanwhile are no change."""
+
+    def version(connection: sqlite3.Connection) -> str:
+        return _tag_of_facts(existing(find_lot(connection, lot), "lot", lot))
+
+    facts = None if if_match is None else STONES.sub("", if_match)
+    return existing(
+        await context.store.write(change_if_match, facts, version, change, lot, *given), "lot", lot
+    )

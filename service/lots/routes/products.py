@@ -1,0 +1,119 @@
+"""Products, with what they must be; the sieve sets and specifications that are known by name."""
+
+import sqlite3
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Query, Response
+from fastapi import Request as HttpRequest
+from pydantic import BaseModel, Field
+
+from pipeline.gradation.sieves import SieveSet
+from service.base.ids import ID, NEW_ID
+from service.lots.products import (
+    Product,
+    ProductDefinition,
+    find_product,
+    products,
+    save_product,
+)
+from service.lots.yardsticks import (
+    Request,
+    specification_names,
+    yardstick_of,
+)
+from service.lots.yardsticks import standards as known_standards
+from service.web.auth import CONFIGURABLE, READABLE, Who
+from service.web.context import Context
+from service.web.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unchanged
+from service.web.feeds import MAX_SEQ
+from service.web.problems import existing, problem_responses
+
+router = APIRouter(prefix="/products", tags=["lots"])
+
+ProductName = Annotated[str, Path(pattern=ID, description="Id of the product")]
+NewProductName = Annotated[str, Path(pattern=NEW_ID, description="Id of the product")]
+
+
+class ProductsDocument(BaseModel):
+    """The newest version of all products, by name."""
+
+    items: list[Product] = Field(description="Newest versions, by name")
+
+
+class StandardsAnswer(BaseModel):
+    """What can be named in a product."""
+
+    sieve_sets: list[SieveSet] = Field(description="Sets of sieves")
+    specifications: list[str] = Field(
+        description="Names to be used as `specification`, `flakiness_category` or `shape_category`"
+    )
+
+
+@router.get(
+    "",
+    dependencies=READABLE,
+)
+async def list_products(context: Context) -> ProductsDocument:
+    """List the products: the newest version of each."""
+    return ProductsDocument(items=await context.store.read(products))
+
+
+@router.get(
+    "/standards",
+    dependencies=READABLE,
+)
+async def standards() -> StandardsAnswer:
+    """List the sieve sets and specifications that have a name."""
+    sets = list(known_standards().sieve_sets.values())
+    return StandardsAnswer(sieve_sets=sets, specifications=specification_names())
+
+
+@router.put(
+    "/{product}",
+    dependencies=CONFIGURABLE,
+    responses=problem_responses(409, 412),
+)
+async def put_product(
+    context: Context,
+    product: NewProductName,
+    wanted: ProductDefinition,
+    asking: Who,
+    response: Response,
+    if_match: IfMatch = None,
+) -> Product:
+    """Define or change a product: a change is a new version, and lots keep theirs."""
+    yardstick_of(wanted, Request())  # raises where it cannot be judged
+    context.store.require_writable()
+
+    def version(connection: sqlite3.Connection) -> str | None:
+        newest = find_product(connection, product)
+        return None if newest is None else _tag(newest)
+
+    saved = await context.store.write(
+        change_if_match, if_match, version, save_product, product, wanted, asking
+    )
+    response.headers["ETag"] = _tag(saved)
+    return saved
+
+
+@router.get(
+    "/{product}",
+    response_model=Product,
+    dependencies=READABLE,
+    responses={**NOT_MODIFIED, **problem_responses(404)},
+)
+async def product(
+    context: Context,
+    request: HttpRequest,
+    response: Response,
+    product: ProductName,
+    version: Annotated[int | None, Query(ge=1, le=MAX_SEQ, description="The newest when absent")] = None,
+) -> Any:
+    """Get a product, its newest or another version; its `ETag` is for `If-Match` of a change."""
+    found = existing(await context.store.read(find_product, product, version), "product", product)
+    response.headers["ETag"] = _tag(found)
+    return unchanged(request, _tag(found)) or found
+
+
+def _tag(product: Product) -> str:
+    return etag(product.product, product.version, product.created_at)

@@ -1,0 +1,1 @@
+"""Results one by one: their meshes, pictures, outlines and caliper points, as files that clients ask for."""

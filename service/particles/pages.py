@@ -1,0 +1,49 @@
+"""Pages of results as finished JSON, made on a connection to the store, in any process or thread."""
+
+import sqlite3
+
+from service.results.selection import served
+from service.store import ParticleFilter
+from service.store.particle_files import first_seq
+from service.store.reads import particles, results_after
+from service.web.pages import FeedPage, page_json, page_of, server_sent, stream_of
+
+Names = tuple[str, ...] | None
+"""Fields of a result that are wanted; None: all."""
+
+
+def feed_page(
+    connection: sqlite3.Connection,
+    instance_id: str,
+    after: int,
+    limit: int,
+    names: Names = None,
+    as_gzip: bool = False,
+) -> FeedPage:
+    """Return the page of up to `limit` results after `after`, each with these fields or all."""
+    page = results_after(connection, after, limit)
+    return page_of(page, after, instance_id, (served(record, names) for record in page.items), as_gzip)
+
+
+def result_stream(
+    connection: sqlite3.Connection, instance_id: str, after: int, limit: int, names: Names = None
+) -> FeedPage:
+    """Return the same results as server-sent events."""
+    page = results_after(connection, after, limit)
+    items = (served(record, names) for record in page.items)
+    return stream_of(page, after, (server_sent("result", item, item["seq"]) for item in items))
+
+
+def particles_page(
+    connection: sqlite3.Connection,
+    wanted: ParticleFilter,
+    before_seq: int,
+    limit: int,
+    names: Names = None,
+    as_gzip: bool = False,
+) -> bytes:
+    """Return the page of the newest `limit` results that fit and are older than `before_seq`."""
+    records = particles(connection, wanted, before_seq, limit + 1)
+    items = records[:limit]
+    head = {"next_cursor": str(first_seq(items[-1]["id"])) if len(records) > limit else None}
+    return page_json(head, (served(record, names) for record in items), as_gzip)

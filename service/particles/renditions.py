@@ -1,0 +1,153 @@
+"""Meshes and images of a stored particle in the formats that clients ask for, made in the process `stonefall-read`."""
+
+from contextlib import suppress
+from enum import StrEnum
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import RecordingError
+from drivers.files.compact_mesh import read_compact_mesh
+from drivers.files.durable import unfinished
+from drivers.files.mesh_file import ply_bytes
+from drivers.files.mesh_parsing import parse_mesh
+from drivers.files.recording import read_bundle, read_header
+from drivers.files.silhouette_file import read_silhouettes
+from pipeline.arrays import Greys
+from pipeline.frames import CameraId, Image
+from pipeline.preview import STONE_RGB, colors_of, render_preview
+
+if TYPE_CHECKING:
+    import trimesh
+
+PREVIEW_SIZE_PX = 480
+PNG_END = b"IEND\xaeB`\x82"
+MM_Z_UP_TO_M_Y_UP = 0.001 * np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+"""From the frame of the rig to that of glTF 2.0, section 3.4: right-handed, metres, +y up; x stays, z becomes y."""
+
+
+class MeshFormat(StrEnum):
+    """File format of a mesh: PLY and STL in mm with z up, GLB in metres with y up."""
+
+    PLY = "ply"
+    STL = "stl"
+    GLB = "glb"
+
+
+class NotKeptError(Exception):
+    """The file was never written, was removed since, or is damaged."""
+
+
+def mesh_bytes(folder: Path, mesh_format: MeshFormat) -> bytes:
+    """Return the mesh as a file of this format; raise `NotKeptError` without a mesh."""
+    exact = folder / "mesh.ply"
+    if mesh_format is MeshFormat.PLY and exact.exists():
+        return exact.read_bytes()
+    mesh = stored_mesh(folder)
+    if mesh_format is MeshFormat.PLY:
+        return ply_bytes(mesh.vertices, mesh.faces, _greys(mesh))
+    if mesh_format is MeshFormat.GLB:
+        mesh.vertices = mesh.vertices @ MM_Z_UP_TO_M_Y_UP.T
+    exported = BytesIO()
+    mesh.export(exported, file_type=mesh_format)
+    return exported.getvalue()
+
+
+def preview_png(folder: Path) -> bytes:
+    """Return a picture of the mesh, rendered once and kept beside it; raise `NotKeptError` without a mesh."""
+    kept = folder / f"preview-{PREVIEW_SIZE_PX}.png"
+    if kept.exists() and (png := kept.read_bytes()).endswith(PNG_END):  # else it was torn by a power cut
+        return png
+    mesh = stored_mesh(folder)
+    greys = _greys(mesh)
+    image_rgb = render_preview(
+        mesh.vertices,
+        mesh.faces,
+        PREVIEW_SIZE_PX,
+        colors_rgb=STONE_RGB if greys is None else colors_of(greys),
+        unshaded_share=0.0,
+    )
+    png = encode_png(image_rgb[..., ::-1])
+    with suppress(OSError):  # a full disk costs the next request the same time
+        # not flushed: results wait for the same disk, and a picture can be made again
+        temporary = unfinished(kept)
+        temporary.write_bytes(png)
+        temporary.replace(kept)
+    return png
+
+
+def view_png(folder: Path, camera: str) -> bytes:
+    """Return the image of one camera from the archived bundle; raise `NotKeptError` where there is none."""
+    archive = stored_file(folder / "bundle.tiff")
+    try:
+        header = read_header(archive)
+        bundle = read_bundle(archive, [*header.frames, *header.missing])
+    except RecordingError as err:
+        raise NotKeptError(err.problem) from err
+    frame = bundle.frames.get(CameraId(camera))
+    if frame is None:
+        raise NotKeptError(f"the view is missing: {bundle.missing.get(CameraId(camera), 'unknown camera')}")
+    return encode_png(frame.image)
+
+
+def silhouette_png(folder: Path, camera: str) -> bytes:
+    """Return one silhouette (0 outside, 128 unknown, 255 inside); raise `NotKeptError` where there is none."""
+    return encode_png(stored_silhouette(folder, camera))
+
+
+def stored_silhouette(folder: Path, camera: str) -> Image:
+    """Return the labels (H, W) of one view; raise `NotKeptError` where there are none."""
+    try:
+        silhouettes = read_silhouettes(stored_file(folder / "silhouettes.tiff"))
+    except RecordingError as err:
+        raise NotKeptError(err.problem) from err
+    labels = silhouettes.get(CameraId(camera))
+    if labels is None:
+        raise NotKeptError("the view is missing")
+    return labels
+
+
+def encode_png(image: NDArray[np.uint8]) -> bytes:
+    """Return a grey (H, W) or BGR (H, W, 3) image as PNG; fast rather than small."""
+    _, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    return encoded.tobytes()
+
+
+def stored_file(path: Path) -> Path:
+    """Return the path of a file that is there; raise `NotKeptError` if it is not."""
+    if not path.is_file():
+        raise NotKeptError(f"{path.name} was not kept")
+    return path
+
+
+def stored_mesh(folder: Path) -> "trimesh.Trimesh":
+    """Return the mesh, whether it was stored compact or exact."""
+    path = folder / "mesh.ply" if (folder / "mesh.ply").exists() else stored_file(folder / "mesh.sfmesh")
+    try:
+        if path.suffix == ".ply":
+            mesh = parse_mesh(path)
+        else:
+            import trimesh  # here: with its dependencies it takes a second
+
+            vertices_mm, faces, greys = read_compact_mesh(path)
+            colors = None if greys is None else np.repeat(greys[:, None], 3, axis=1)
+            mesh = trimesh.Trimesh(vertices_mm, faces, vertex_colors=colors, process=False)
+    except RecordingError as err:
+        raise NotKeptError(f"{path.name} {err.problem}") from err
+    if mesh.faces.size == 0 or not np.isfinite(mesh.vertices).all():
+        raise NotKeptError(f"{path.name} is damaged")
+    return mesh
+
+
+def _greys(mesh: "trimesh.Trimesh") -> Greys | None:
+    """Return the grey of each vertex, None where they have none."""
+    from trimesh.visual import ColorVisuals
+
+    visual = mesh.visual
+    if not isinstance(visual, ColorVisuals) or visual.kind != "vertex":
+        return None
+    return np.asarray(visual.vertex_colors[:, 0])

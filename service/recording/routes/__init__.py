@@ -1,0 +1,5 @@
+"""Routes of recordings."""
+
+from service.recording.routes import recordings
+
+ROUTERS = (recordings.router,)

@@ -1,0 +1,5 @@
+"""Routes of measuring again."""
+
+from service.remeasuring.routes import revisions
+
+ROUTERS = (revisions.router,)

@@ -1,0 +1,155 @@
+"""The report of a lot from the store, made in the process `stonefall-read`."""
+
+import sqlite3
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+from drivers.files.times import utc_now
+from service.base.language import Language
+from service.lots.evaluation import lot_figures
+from service.lots.figures import LotFigures
+from service.lots.laboratory import StoredSieving, sievings
+from service.lots.yardsticks import Request
+from service.particles.renditions import NotKeptError, preview_png
+from service.reports.render import render
+from service.reports.report import (
+    GalleryReason,
+    GalleryStone,
+    LaboratorySieving,
+    LastVerification,
+    ReportData,
+    ReportFormat,
+    SievingStep,
+)
+from service.store.particle_files import path_of
+from service.store.reads import newest_folder
+from service.web.version import API_VERSION
+
+MATTER = {
+    GalleryReason.HEAVIEST: ("volume_mm3 DESC", 3),
+    GalleryReason.LARGEST: ("sieve_size_mm DESC", 2),
+    GalleryReason.MOST_ELONGATED: ("max_feret_mm / min_feret_mm DESC", 2),
+}
+"""The order in which stones matter for a reason, and how many of them are shown."""
+NEAREST = 2
+"""Stones that are shown for being nearest to a sieve with limits."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigStanding:
+    """Facts about the rig that a report states: its last verification, and whether another one is overdue."""
+
+    verification: LastVerification | None
+    is_overdue: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportRequest:
+    """Request for a report."""
+
+    figures: Request
+    language: Language
+    rig: RigStanding
+
+
+def lot_report(
+    connection: sqlite3.Connection,
+    particles_dir: Path,
+    lot: str,
+    wanted: ReportRequest,
+    report_format: ReportFormat,
+) -> bytes | None:
+    """Return the report of a lot, None if there is none."""
+    data = report_data(connection, particles_dir, lot, wanted, has_pictures=True)
+    return None if data is None else render(data, report_format)
+
+
+def report_data(
+    connection: sqlite3.Connection,
+    particles_dir: Path,
+    lot: str,
+    wanted: ReportRequest,
+    *,
+    has_pictures: bool,
+) -> ReportData | None:
+    """Return the contents of the report of a lot, None if there is no such lot."""
+    figures = lot_figures(connection, lot, wanted.figures)
+    if figures is None:
+        return None
+    limits_mm = [step.sieve_mm for step in figures.curve if step.decision is not None]
+    return ReportData(
+        figures=figures,
+        created_at=utc_now(),
+        language=wanted.language,
+        software_version=metadata.version("stonefall"),
+        api_version=API_VERSION,
+        verification=wanted.rig.verification,
+        is_verification_overdue=wanted.rig.is_overdue,
+        sievings=[_sieving(each, figures) for each in sievings(connection, lot)],
+        gallery=_gallery(connection, particles_dir, lot, limits_mm) if has_pictures else (),
+    )
+
+
+def _gallery(
+    connection: sqlite3.Connection, particles_dir: Path, lot: str, limits_mm: Sequence[float]
+) -> list[GalleryStone]:
+    """Return the stones that the figures depend on, each once with all its reasons."""
+    nearest = " , ".join(f"abs(sieve_size_mm - {limit_mm})" for limit_mm in limits_mm)
+    orders = dict(MATTER)
+    if limits_mm:
+        first = f"min({nearest})" if len(limits_mm) > 1 else nearest
+        orders[GalleryReason.NEAREST_LIMIT] = (first, NEAREST)
+    reasons: dict[int, list[GalleryReason]] = {}
+    for reason, (order, n_stones) in orders.items():
+        rows = connection.execute(
+            f"SELECT seq FROM stones WHERE lot = ? AND outcome = 'measured' ORDER BY {order}, seq LIMIT ?",  # noqa: S608 - of this module and numbers
+            (lot, n_stones),
+        )
+        for (seq,) in rows:
+            reasons.setdefault(seq, []).append(reason)
+    return [_stone(connection, particles_dir, seq, why) for seq, why in reasons.items()]
+
+
+def _stone(
+    connection: sqlite3.Connection, particles_dir: Path, seq: int, reasons: Sequence[GalleryReason]
+) -> GalleryStone:
+    name, size_mm, volume_mm3, quality = connection.execute(
+        "SELECT id, sieve_size_mm, volume_mm3, quality FROM stones WHERE seq = ?", (seq,)
+    ).fetchone()
+    try:
+        folder = newest_folder(connection, seq)
+        png = None if folder is None else preview_png(path_of(particles_dir, folder))
+    except NotKeptError:
+        png = None
+    return GalleryStone(
+        id=name,
+        reasons=reasons,
+        sieve_size_mm=size_mm,
+        volume_mm3=volume_mm3,
+        quality=quality,
+        preview_png=png,
+    )
+
+
+def _sieving(stored: StoredSieving, figures: LotFigures) -> LaboratorySieving:
+    correlated = (
+        {}
+        if figures.correlated is None
+        else {step.sieve_mm: step.passing_percent.value for step in figures.correlated.curve}
+    )
+    return LaboratorySieving(
+        id=str(stored.sieving),
+        at=stored.at,
+        by=stored.document.by,
+        steps=[
+            SievingStep(
+                sieve_mm=sieve_mm,
+                passing_percent=percent,
+                correlated_percent=correlated.get(sieve_mm),
+            )
+            for sieve_mm, percent in stored.document.passing_percent.items()
+        ],
+        correlation=None if figures.correlated is None else str(figures.correlated.version),
+    )

@@ -1,0 +1,109 @@
+"""How rate, size and shape went over the last hours, as numbers and as drawings."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Query, Response
+from fastapi import Request as HttpRequest
+
+from pipeline.frames import rfc3339
+from service.base.ids import ID
+from service.base.language import Language
+from service.lots.comparing import LotComparison, Side
+from service.lots.lots import find_lot
+from service.lots.routes.lot_figures import Measuring
+from service.lots.routes.windows import next_second
+from service.lots.shifts import LotsSettings
+from service.lots.trends.changes import Changes
+from service.lots.trends.trend import Trend
+from service.reports.routes.curves import DrawingLanguage
+from service.reports.trend import TrendFigure
+from service.reports.trend_answers import changes_json, comparison_json, trend_drawing, trend_json
+from service.web.auth import READABLE
+from service.web.context import Context
+from service.web.problems import existing, problem_responses
+from service.web.shared_documents import SVG, shared, svg_answer
+
+router = APIRouter(tags=["trends"], dependencies=READABLE)
+diary = APIRouter(tags=["diary"], dependencies=READABLE)
+
+KEEP_S = 5.0
+"""How long a trend is kept for others who ask for it; a new result ends it."""
+Hours = Annotated[float, Query(ge=1, le=720, description="How far back, h")]
+LotId = Annotated[str, Query(pattern=ID, description="Id of the first lot")]
+
+
+@router.get("/trends", response_model=Trend)
+async def get_trends(context: Context, hours: Hours = 12.0) -> Response:
+    """Get the trends of the last hours: rate, D50, flakiness and shape index, in buckets of a minute to a day.
+
+    With them come the entries of the crusher's diary and the lots of that time. A replay's stones fell long ago: they
+    count when their results came. Of a bucket with more than 2000
+    measured stones every so many are looked at; `n_effective` and the intervals say so.
+    """
+    now, measured = rfc3339(next_second()), context.part(LotsSettings).measured
+    content = await shared(context, trend_json, now, hours, measured, keep_s=KEEP_S)
+    return Response(content, media_type="application/json")
+
+
+@router.get("/trends/{figure}.svg", response_class=Response, responses=SVG)
+async def get_trend_drawing(
+    context: Context,
+    asked: HttpRequest,
+    figure: Annotated[
+        TrendFigure,
+        Path(
+            description="`rate` of stones, `d50`, `flakiness` index FI (EN 933-3), `shape` index SI (EN 933-4)"
+        ),
+    ],
+    hours: Hours = 12.0,
+    language: DrawingLanguage = Language.ENGLISH,
+) -> Response:
+    """Draw the trend of a figure: its line and 95 % interval over the last hours, the diary's marks, the lots."""
+    now, measured = rfc3339(next_second()), context.part(LotsSettings).measured
+    text = await shared(context, trend_drawing, now, hours, measured, figure, language, keep_s=KEEP_S)
+    return svg_answer(asked, text or "")
+
+
+@router.get(
+    "/comparisons/lots", response_model=LotComparison, responses=problem_responses(404), tags=["lots"]
+)
+async def compare(
+    context: Context,
+    measuring: Measuring,
+    a: LotId,
+    b: Annotated[
+        str | None,
+        Query(pattern=ID, description="Id of the second lot; the first when absent"),
+    ] = None,
+    a_algorithm_version: Annotated[
+        str | None, Query(max_length=200, description="The first as this version measured it")
+    ] = None,
+    b_algorithm_version: Annotated[
+        str | None, Query(max_length=200, description="The second as this version measured it")
+    ] = None,
+) -> Response:
+    """Compare two lots, or one as two algorithm versions measured it: by the product of the first.
+
+    Each figure comes with its difference, the 95 % interval of that, and whether it is more than chance.
+    """
+    for lot in (a, b or a):
+        existing(await context.store.read(find_lot, lot), "lot", lot)
+    sides = Side(a, a_algorithm_version), Side(b or a, b_algorithm_version)
+    content = await shared(context, comparison_json, *sides, measuring, keep_s=KEEP_S)
+    return Response(existing(content, "lot", a), media_type="application/json")
+
+
+@diary.get("/diary/changes", response_model=Changes)
+async def get_changes(
+    context: Context,
+    hours: Hours = 24.0,
+    language: Annotated[Language, Query(description="Language of the sentences")] = Language.ENGLISH,
+) -> Response:
+    """List the changes since each diary entry of the last hours: D50, FI, SI and stones a minute, before and after.
+
+    Each side reaches to the neighbouring entry, at most 12 h. Stones that fall soon after each other are alike, which
+    the intervals allow for. Clock times in sentences are the host's.
+    """
+    now, measured = rfc3339(next_second()), context.part(LotsSettings).measured
+    content = await shared(context, changes_json, now, hours, measured, language, keep_s=KEEP_S)
+    return Response(content, media_type="application/json")

@@ -1,0 +1,1 @@
+"""HTTP for all rooms: server and its limits, keys and sessions, problems, idempotency, ETags, feeds, streams, pages."""

@@ -1,0 +1,66 @@
+"""The dependency of every route: what `create_app` was given, kept in the state of the application."""
+
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Annotated, TypeVar
+
+from fastapi import Depends, Request
+
+from service.base.errors import StoreError
+from service.store import Store
+from service.store.outcome_counts import OutcomeCounts, outcome_counts
+from service.web.control import Control
+from service.web.key_guesses import KeyGuesses
+from service.web.key_ring import KeyRing
+from service.web.open_streams import OpenStreams
+from service.web.pace import Pace
+from service.web.reader_process import Reading
+from service.web.sessions import Sessions
+from service.web.settings import ApiSettings
+from service.web.shared_answers import SharedAnswers
+
+T = TypeVar("T")
+
+
+class CountedOutcomes:
+    """The counts of all results, kept so that each time only new results are read."""
+
+    def __init__(self) -> None:
+        self._known = OutcomeCounts()
+
+    async def now(self, store: Store) -> OutcomeCounts:
+        """Return the counts; while the store cannot be read, those of the last time."""
+        with suppress(StoreError):
+            self._known = await store.read(outcome_counts, self._known)
+        return self._known
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApiContext:
+    """The store, the daemon and the settings that the routes work on."""
+
+    store: Store
+    control: Control
+    settings: ApiSettings
+    keys: KeyRing
+    reading: Reading
+    """Where meshes, pictures and big pages are made: clients must not take the processor from measuring."""
+    sessions: Sessions
+    shared: SharedAnswers = field(default_factory=SharedAnswers)
+    waking: Pace = field(default_factory=Pace)
+    """Long polls are answered one after the other, although a result wakes all of them at once."""
+    streams: OpenStreams = field(default_factory=OpenStreams)
+    counted: CountedOutcomes = field(default_factory=CountedOutcomes)
+    guesses: KeyGuesses = field(default_factory=KeyGuesses)
+
+    def part(self, kind: type[T]) -> T:
+        """Return the part of the daemon of this class."""
+        return self.control.part(kind)
+
+
+def context_of(request: Request) -> ApiContext:
+    context: ApiContext = request.app.state.context
+    return context
+
+
+Context = Annotated[ApiContext, Depends(context_of)]

@@ -1,0 +1,106 @@
+"""What clients follow by a number without gaps: the pages of a feed, the wait for more, and the place of a cursor."""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from pydantic import BaseModel, Field
+
+from service.store import Store, read
+from service.web.context import ApiContext
+from service.web.pages import FeedPage, event_page, event_stream
+from service.web.problems import Problem
+
+MAX_SEQ = 10**15
+"""Beyond any feed, within what a JSON number and SQLite hold exactly."""
+MAX_SMALL = 20
+"""Results of a page that the daemon itself makes, in 3 ms; bigger ones are made beside it."""
+KEEP_S = 1.0
+"""Time for which a small page, or a full one of a stream, is the answer to all who ask for it."""
+
+PageQuery = Callable[..., FeedPage]
+"""Takes a connection, the id of the history, `after`, `limit`, and the feed's `more`."""
+
+
+class CursorPage(BaseModel):
+    """One page of a feed. Ask again with `after = next_after`; each item is delivered at least once."""
+
+    instance_id: str = Field(description="Identity of the history; when it changes, start again from 0")
+    first_seq: int = Field(description="`seq` of the oldest item kept; `last_seq + 1` when there is none")
+    last_seq: int = Field(description="`seq` of the newest item; 0 before the first")
+    next_after: int = Field(description="The cursor: pass it as `after` of the next request")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Feed:
+    """Results, or events, in one form."""
+
+    kind: str
+    query: PageQuery
+    is_large: bool  # a page of many items takes long
+    last: Callable[[Store], int]
+    wait_beyond: Callable[[Store, int], Awaitable[None]]
+    is_stream: bool = False  # its pages say nothing of what follows them
+    more: tuple[
+        tuple[str, ...] | bool | None, ...
+    ] = ()  # that the query is given: what the client has chosen
+
+
+def _last_event(store: Store) -> int:
+    return store.last_event
+
+
+async def _beyond_event(store: Store, after: int) -> None:
+    await store.wait_beyond_event(after)
+
+
+EVENTS = Feed(kind="event", query=event_page, is_large=False, last=_last_event, wait_beyond=_beyond_event)
+EVENT_STREAM = Feed(
+    kind="event",
+    query=event_stream,
+    is_large=False,
+    last=_last_event,
+    wait_beyond=_beyond_event,
+    is_stream=True,
+)
+
+
+async def page_after(context: ApiContext, feed: Feed, after: int, limit: int, wait_s: float = 0) -> FeedPage:
+    """Return the page after `after`, as soon as there is something on it or `wait_s` are over.
+
+    All who ask for it at this moment get the same.
+    """
+    store, wanted = context.store, (after, limit, *feed.more)
+    while True:
+        last = feed.last(store)
+        if wait_s == 0 or after != last:
+            is_big = feed.is_large and min(limit, last - after) > MAX_SMALL
+            is_full = feed.is_stream and after + limit <= last  # what follows changes nothing on it
+            read_page = partial(context.reading.run, read, store.path) if is_big else store.read
+            page: FeedPage = await context.shared.get(
+                (feed.query, *wanted, None if is_full else last),
+                partial(read_page, feed.query, store.instance_id, *wanted),
+                keep_s=KEEP_S if is_full or not is_big else 0,
+            )
+            if wait_s == 0 or after != page.last_seq:
+                return page
+        with suppress(TimeoutError):
+            async with asyncio.timeout(wait_s):
+                await feed.wait_beyond(store, after)
+        await context.waking.turn()
+        wait_s = 0
+
+
+def cursor_problem(page: FeedPage, after: int, kind: str) -> Problem | None:
+    """Return the problem of a cursor that lies beyond the feed's end or before its first item; None without one."""
+    ends: dict[str, Any] = {"first_seq": page.first_seq, "last_seq": page.last_seq}
+    if after > page.last_seq:
+        detail = f"the newest {kind} is {page.last_seq}, not {after}"
+        return Problem(409, "cursor-ahead", detail, **ends)
+    if after < page.first_seq - 1:
+        gap = f"{kind}s {after + 1} to {page.first_seq - 1} were removed"
+        return Problem(410, "cursor-expired", f"{gap}: go on with after={page.first_seq - 1}", **ends)
+    return None

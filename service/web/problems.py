@@ -1,0 +1,278 @@
+"""Errors as RFC 9457 problem details: one form for all of them, without stack traces."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any, TypeVar
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.exceptions import HTTPException
+from starlette.routing import compile_path
+
+from service.base.errors import InvalidRequestError, ProblemError, StoreError
+from service.store.trouble import TroubleCause
+from service.web.request_ids import HEADER, request_id_of
+
+log = logging.getLogger(__name__)
+
+T = TypeVar("T")
+
+PROBLEMS: Mapping[int, Mapping[str, str]] = {
+    HTTPStatus.BAD_REQUEST: {"bad-request": "Bad Request"},
+    HTTPStatus.UNAUTHORIZED: {"unauthorized": "A valid key is needed"},
+    HTTPStatus.FORBIDDEN: {
+        "forbidden": "Not allowed",
+        "foreign-origin": "A page of another site asks for this",
+    },
+    HTTPStatus.NOT_FOUND: {
+        "not-kept": "This file was not kept",
+        "unknown-alarm": "No such alarm",
+        "unknown-calibration": "No such calibration",
+        "unknown-camera": "No such camera",
+        "unknown-consumer": "No such consumer",
+        "unknown-lot": "No such lot",
+        "unknown-particle": "No such particle",
+        "unknown-product": "No such product",
+        "unknown-recording": "No such recording",
+        "unknown-sample": "No such sample",
+        "unknown-verification": "No such verification",
+        "unknown-webhook": "No such webhook",
+    },
+    HTTPStatus.NOT_ACCEPTABLE: {"not-acceptable": "No acceptable media type"},
+    HTTPStatus.CONFLICT: {
+        "cursor-ahead": "The cursor is ahead of the history",
+        "request-in-progress": "The first request with this key is still being carried out",
+    },
+    HTTPStatus.GONE: {
+        "cursor-expired": "The cursor is older than the oldest result kept",
+        "files-removed": "The files of this result were removed",
+    },
+    HTTPStatus.PRECONDITION_FAILED: {"precondition-failed": "It is not the version that If-Match names"},
+    HTTPStatus.REQUEST_ENTITY_TOO_LARGE: {"content-too-large": "The request is too large"},
+    HTTPStatus.UNSUPPORTED_MEDIA_TYPE: {"unsupported-media-type": "Not JSON"},
+    HTTPStatus.MISDIRECTED_REQUEST: {
+        "unknown-host": "This service does not have the name that was asked for"
+    },
+    HTTPStatus.UNPROCESSABLE_ENTITY: {
+        "idempotency-key-reused": "The idempotency key was used for another request",
+        "invalid-request": InvalidRequestError.kinds[0].title,
+    },
+    HTTPStatus.TOO_MANY_REQUESTS: {
+        "too-many-attempts": "Too many wrong keys",
+        "too-many-keys": "Too many idempotency keys",
+    },
+    HTTPStatus.INTERNAL_SERVER_ERROR: {
+        "internal-error": "Internal error of the service",
+        "store-damaged": "The store is damaged",
+    },
+    HTTPStatus.SERVICE_UNAVAILABLE: {
+        "camera-unavailable": "The camera cannot do this now",
+        "not-ready": "Not ready to measure stones",
+        "store-unavailable": "The store cannot be read or written",
+        "too-many-connections": "Too many requests at a time",
+    },
+}
+"""Problems that routes raise, by status: the last part of `type`, and the title; a `ProblemError` brings its own."""
+TITLES = {slug: title for titles in PROBLEMS.values() for slug, title in titles.items()}
+
+WAIT = frozenset({HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE})
+"""Statuses that always say when to come again."""
+RETRY_AFTER_S = 5
+MOST_ERRORS = 100
+"""Most wrong fields that an answer names."""
+MOST_CHARACTERS = 500
+"""Longest name and longest message of a wrong field: both may repeat the request."""
+
+
+class FieldError(BaseModel):
+    """One wrong field of a request."""
+
+    field: str = Field(description="Where it is: `body.`, `query.`, `path.` or `header.` and its name")
+    message: str = Field(description="What is wrong with it")
+
+
+class ProblemDocument(BaseModel):
+    """RFC 9457 problem details; further members depend on the type."""
+
+    model_config = ConfigDict(extra="allow", title="Problem")
+
+    type: str = Field(description="`urn:stonefall:problem:<kind>`: decide by this, or by the status")
+    title: str = Field(description="The kind of problem in words")
+    status: int = Field(description="HTTP status of this answer")
+    detail: str = Field(description="This occurrence in words; not for programs")
+    instance: str = Field(description="Path of the request")
+    request_id: str | None = Field(
+        default=None,
+        description="The `X-Request-Id` of the request, or one made for it; the log names it. Absent when a connection"
+        " was refused before its request was read",
+    )
+    errors: list[FieldError] = Field(
+        default=[], description="With `invalid-request`: the wrong fields, 100 at most"
+    )
+
+
+class Problem(HTTPException):
+    """An error that becomes the answer to a request. `slug` is the last part of its `type`.
+
+    `retry_after_s` says when to come again, which 429 and 503 always do.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        slug: str,
+        detail: str,
+        *,
+        headers: Mapping[str, str] | None = None,
+        retry_after_s: int | None = None,
+        title: str | None = None,
+        **members: Any,
+    ) -> None:
+        if retry_after_s is None and status in WAIT:
+            retry_after_s = RETRY_AFTER_S
+        if retry_after_s is not None:
+            headers = {**(headers or {}), "Retry-After": str(retry_after_s)}
+            members["retry_after_s"] = retry_after_s
+        super().__init__(status, detail, headers)
+        self.slug = slug
+        self.title = title or TITLES.get(slug, HTTPStatus(status).phrase)
+        self.members = members  # of the problem object, beside those of the standard
+
+
+def problem_document(problem: Problem, instance: str, request_id: str | None = None) -> dict[str, Any]:
+    """Return the members of the problem details; without a `request_id` if the request was not read."""
+    return {
+        "type": f"urn:stonefall:problem:{problem.slug}",
+        "title": problem.title,
+        "status": problem.status_code,
+        "detail": problem.detail,
+        "instance": instance,
+        **({} if request_id is None else {"request_id": request_id}),
+        **problem.members,
+    }
+
+
+def problem_response(request: Request, problem: Problem) -> JSONResponse:
+    """Return the problem as `application/problem+json`."""
+    request_id = request_id_of(request)
+    return JSONResponse(
+        problem_document(problem, request.scope["path"], request_id),
+        status_code=problem.status_code,
+        headers={HEADER: request_id, **(problem.headers or {})},
+        media_type="application/problem+json",
+    )
+
+
+def install_handlers(app: FastAPI) -> None:
+    """Install handlers that answer every exception of a route as a problem."""
+    app.add_exception_handler(HTTPException, _handle_http)
+    app.add_exception_handler(RequestValidationError, _handle_validation)
+    app.add_exception_handler(ProblemError, _handle_refused)
+    app.add_exception_handler(StoreError, _handle_store)
+    app.add_exception_handler(OSError, _handle_store)  # a disk that is full or read-only
+    app.add_exception_handler(Exception, _handle_bug)
+
+
+def all_problems() -> dict[HTTPStatus, dict[str, str]]:
+    """Return the title of every problem by status and kind, those of imported `ProblemError`s included."""
+    found = {HTTPStatus(status): dict(titles) for status, titles in PROBLEMS.items()}
+    errors: list[type[ProblemError]] = [ProblemError]
+    for error in errors:
+        errors.extend(error.__subclasses__())
+        for kind in error.kinds:
+            found.setdefault(kind.status, {})[kind.name] = kind.title
+    return {status: dict(sorted(titles.items())) for status, titles in sorted(found.items())}
+
+
+def existing(thing: T | None, kind: str, name: str) -> T:
+    """Return the thing; raise the problem 404 `unknown-<kind>` for None."""
+    if thing is None:
+        raise Problem(404, f"unknown-{kind}", f"there is no {kind} {name}")
+    return thing
+
+
+def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Return the statuses of problems for FastAPI; `openapi_parts` describes each once for all routes."""
+    return {status: {} for status in statuses}
+
+
+async def _handle_http(request: Request, error: Exception) -> JSONResponse:
+    if isinstance(error, Problem):
+        return problem_response(request, error)
+    assert isinstance(error, HTTPException)  # noqa: S101 - the handler's registration says so, the type cannot
+    slug = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
+    headers = error.headers
+    if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+        headers = {
+            "Allow": _allowed_methods(request) or "GET"
+        }  # Starlette names those of the first route alone
+    return problem_response(request, Problem(error.status_code, slug, error.detail, headers=headers))
+
+
+def _allowed_methods(request: Request) -> str:
+    """Return the methods that the path of the request has in the OpenAPI document."""
+    described = request.app.openapi()["paths"].items()
+    fitting = [methods for path, methods in described if compile_path(path)[0].match(request.scope["path"])]
+    return ", ".join(sorted({method.upper() for methods in fitting for method in methods}))
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= MOST_CHARACTERS else f"{text[:MOST_CHARACTERS]} ..."
+
+
+async def _handle_validation(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, RequestValidationError)  # noqa: S101 - as above
+    errors = [
+        {"field": _shortened(".".join(map(str, _field(item["loc"])))), "message": _shortened(item["msg"])}
+        for item in error.errors()[:MOST_ERRORS]
+    ]
+    detail = "; ".join(f"{item['field']}: {item['message']}" for item in errors)
+    return problem_response(request, Problem(422, "invalid-request", detail, errors=errors))
+
+
+def _field(location: Sequence[str | int]) -> Sequence[str | int]:
+    """Return where the value is, without the type that pydantic tried for a parameter."""
+    return location if location[0] == "body" else location[:2]
+
+
+async def _handle_refused(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, ProblemError)  # noqa: S101 - as above
+    kind = next(each for each in error.kinds if each.name == error.kind)
+    problem = Problem(
+        kind.status,
+        kind.name,
+        str(error),
+        retry_after_s=error.retry_after_s,
+        title=kind.title,
+        **error.members,
+    )
+    return problem_response(request, problem)
+
+
+async def _handle_store(request: Request, error: Exception) -> JSONResponse:
+    # the message names paths of this machine: it is for the journal, not for the client
+    log.error("%s: %s", failure_of(request), error)
+    trouble = request.app.state.context.store.trouble
+    if trouble is not None and trouble.cause is TroubleCause.DAMAGED:  # asking again does not help
+        return problem_response(request, Problem(500, "store-damaged", str(trouble)))
+    return problem_response(request, store_unavailable())
+
+
+def store_unavailable() -> Problem:
+    """Return the problem of a store that cannot be read or written now."""
+    return Problem(503, "store-unavailable", f"try again in {RETRY_AFTER_S} s")
+
+
+def failure_of(request: Request) -> str:
+    """Return the beginning of the log's line about a failed request."""
+    return f"request {request_id_of(request)}: {request.method} {request.scope['path']} failed"
+
+
+async def _handle_bug(request: Request, error: Exception) -> JSONResponse:
+    log.error(failure_of(request), exc_info=error)
+    return problem_response(
+        request, Problem(500, "internal-error", "unexpected error: see the journal of the service")
+    )

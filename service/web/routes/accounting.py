@@ -1,0 +1,39 @@
+"""Counts of triggers and of their outcomes."""
+
+from dataclasses import asdict, dataclass
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+
+from service.base.schema import adds_to
+from service.store.accounting import Accounting
+from service.web.auth import READABLE
+from service.web.context import Context
+
+router = APIRouter(prefix="/accounting", tags=["accounting"], dependencies=READABLE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AccountingDocument(Accounting):
+    """`triggers = measured + rejected + lost + in_progress`."""
+
+    __pydantic_config__ = adds_to(Accounting)
+
+    session: int | None
+    """Session (run of the daemon) that is counted; null: all."""
+
+
+@router.get("")
+async def accounting(
+    context: Context,
+    session: Annotated[
+        str | None,
+        Query(
+            pattern="^(current|[1-9][0-9]{0,14})$",
+            description="Number of the session (run of the daemon) to count, or `current`; all when absent",
+        ),
+    ] = None,
+) -> AccountingDocument:
+    """Count the triggers and their outcomes; every trigger is in exactly one of the four."""
+    number = context.store.session if session == "current" else None if session is None else int(session)
+    return AccountingDocument(**asdict(await context.store.accounting(number)), session=number)

@@ -1,0 +1,134 @@
+"""The pages that people look at, and their files: static, the same for everybody, no data in them and no key needed.
+
+A page names its files under the hash of all of them. So browsers keep these for ever, and have the new ones with the
+first page after an upgrade. All of it is held in memory: it is small, and no name leads out of it.
+"""
+
+import gzip
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from fastapi import APIRouter, HTTPException, Request
+from fastapi.responses import Response
+
+from service import screens
+from service.web.etags import unchanged
+from service.web.gzipped import TakesGzip
+
+router = APIRouter(include_in_schema=False)
+
+PAGES = {
+    "/": "operator",
+    "/compare": "compare",
+    "/gallery": "gallery",
+    "/setup": "setup",
+    "/sign-in": "sign-in",
+    "/stones/{particle_id}": "passport",
+}
+"""File in `service/screens/pages` of each address."""
+ROOT = "/screens"
+PACKAGES = "packages.json"
+"""File that lists what was fetched from npm, so that a page need not try."""
+PLACE_OF_FILES = "{{files}}"
+"""What a page writes for the folder of its files."""
+MEDIA_TYPES = {
+    ".css": "text/css; charset=utf-8",
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".json": "application/json",
+    ".svg": "image/svg+xml",
+    ".txt": "text/plain; charset=utf-8",
+}
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:;"
+    " connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""What a browser lets a page do: everything comes from this host."""
+HEADERS = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer", "Vary": "Accept-Encoding"}
+
+
+@dataclass(frozen=True, slots=True)
+class File:
+    """A file as browsers get it."""
+
+    content: bytes
+    gzipped: bytes
+    media_type: str
+
+    @classmethod
+    def of(cls, content: bytes, media_type: str) -> "File":
+        """Return the file with this content, compressed once."""
+        return cls(content, gzip.compress(content, mtime=0), media_type)
+
+
+@dataclass(frozen=True, slots=True)
+class Screens:
+    """All pages by address, and their files by path."""
+
+    version: str
+    pages: Mapping[str, File]
+    files: Mapping[str, File]
+
+
+@cache
+def installed_screens() -> Screens:
+    """Return the pages and files of this installation, those of npm packages if they are there."""
+    folder = Path(screens.__file__).parent
+    contents = dict(_read(folder))
+    packages = sorted({path.split("/")[1] for path in contents if path.startswith("packages/")})
+    contents[PACKAGES] = json.dumps(packages).encode()
+    digest = hashlib.sha256()
+    for path, content in contents.items():
+        digest.update(f"{path}\0{len(content)}\0".encode() + content)
+    version = digest.hexdigest()[:16]
+    place = f"{ROOT}/{version}".encode()
+    pages = {
+        address: File.of(
+            contents[f"pages/{name}.html"].replace(PLACE_OF_FILES.encode(), place), MEDIA_TYPES[".html"]
+        )
+        for address, name in PAGES.items()
+    }
+    files = {
+        path: File.of(content, MEDIA_TYPES[Path(path).suffix])
+        for path, content in contents.items()
+        if not path.startswith("pages/")
+    }
+    return Screens(version, pages, files)
+
+
+def _read(folder: Path) -> Iterator[tuple[str, bytes]]:
+    for path in sorted(folder.rglob("*")):
+        if path.suffix in MEDIA_TYPES:
+            yield path.relative_to(folder).as_posix(), path.read_bytes()
+
+
+async def page(request: Request, compressed: TakesGzip) -> Response:
+    """Return the page of this address."""
+    shown = installed_screens()
+    tag = f'"{shown.version}"'
+    headers = {"ETag": tag, "Cache-Control": "no-cache", "Content-Security-Policy": POLICY}
+    return unchanged(request, tag) or _response(shown.pages[request.scope["route"].path], compressed, headers)
+
+
+for _address in PAGES:
+    router.add_api_route(_address, page, methods=["GET"], name=f"page_{PAGES[_address]}")
+
+
+@router.get(f"{ROOT}/{{version}}/{{path:path}}")
+async def screen_file(version: str, path: str, compressed: TakesGzip) -> Response:
+    """Return a file of a page; one of another version is not there any more."""
+    shown = installed_screens()
+    found = shown.files.get(path) if version == shown.version else None
+    if found is None:
+        raise HTTPException(404, f"the pages have no file {path!r} of version {version!r}")
+    return _response(found, compressed, {"Cache-Control": "public, max-age=31536000, immutable"})
+
+
+def _response(found: File, compressed: bool, headers: Mapping[str, str]) -> Response:
+    coding = {"Content-Encoding": "gzip"} if compressed else {}
+    content = found.gzipped if compressed else found.content
+    return Response(content, media_type=found.media_type, headers={**HEADERS, **headers, **coding})

@@ -1,0 +1,129 @@
+"""Sign in with a browser: the token of a key is exchanged for the cookie of a session."""
+
+import asyncio
+import time
+from datetime import UTC, datetime
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipeline.frames import rfc3339
+from service.base.schema import TIME
+from service.web.auth import Asker, asker_of, bearer, checked_key, keys_now
+from service.web.context import Context
+from service.web.key_file import StoredKey
+from service.web.problems import Problem, problem_responses
+from service.web.session_cookies import (
+    PROXY,
+    clear_session_cookie,
+    is_own_origin,
+    require_own_page,
+    session_cookie,
+    set_session_cookie,
+)
+from service.web.sessions import Key, SessionCookie
+from service.web.settings import Scope
+
+router = APIRouter(prefix="/session", tags=["session"])
+
+
+async def asker(request: Request, context: Context) -> Asker:
+    """Identify the requester, known or not: these resources are open, and `openapi.json` names no key for them."""
+    return await asker_of(request, context, await bearer(request))
+
+
+Asking = Annotated[Asker, Depends(asker)]
+
+
+class SignIn(BaseModel):
+    """The key to sign in with."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    token: Annotated[
+        str,
+        Field(min_length=1, max_length=512, repr=False, description="What `stonefall keys create` printed"),
+    ]
+
+
+class SessionDocument(BaseModel):
+    """Who asks, and what that allows."""
+
+    who: str | None = Field(
+        description="As in the audit: `key NAME`, or `this machine` where no key is needed; null: unknown"
+    )
+    scopes: list[Scope] = Field(description="What may be asked for: `read`, `operate`, `configure`")
+    expires_at: str | None = Field(
+        description="When the session ends unless it is renewed, RFC 3339 UTC; null without one",
+        json_schema_extra=TIME,
+    )
+    has_keys: bool = Field(
+        description="Whether there are keys to sign in with; while there is none, only this machine may write"
+    )
+
+
+@router.post("", response_model=SessionDocument, responses=problem_responses(401, 403, 429))
+async def sign_in(request: Request, response: Response, context: Context, wanted: SignIn) -> SessionDocument:
+    """Sign in: exchange the token of a key for a cookie that browsers send, and no script sees.
+
+    It ends when it was not renewed for 12 h, after 30 days, with its key, and by `DELETE`; a restart it outlives. What
+    is written with it needs the `Origin` of our own pages. Programs need no session: they send their key. Wrong tokens
+    count as everywhere. An `Idempotency-Key` has no effect: a session is never given twice.
+    """
+    origin = request.headers.get("origin")
+    if origin is not None and not is_own_origin(request, origin, context.settings):
+        raise Problem(403, "foreign-origin", f"a page of {origin!r} must not sign in here; {PROXY}")
+    await keys_now(context)
+    key = checked_key(request, context, wanted.token)
+    session, cookie = context.sessions.begin(key, time.time())
+    set_session_cookie(request, response, cookie, session, time.time())
+    document = _document(key, session)
+    await context.store.note_change(
+        f"key {key.name}", "session begun", key.name, after={"expires_at": document.expires_at}
+    )
+    return document
+
+
+@router.get("", response_model=SessionDocument, responses=problem_responses(401, 429))
+async def session(request: Request, response: Response, context: Context, asking: Asking) -> SessionDocument:
+    """Get the session: who asks and what that allows; renews that of a browser. Needs no key.
+
+    A page asks once in an hour. 401 only for an invalid bearer token.
+    """
+    response.headers["Cache-Control"] = "no-store"
+    if asking.key is not None and asking.session is not None:
+        renewed, cookie = context.sessions.renew(asking.session, asking.key, time.time())
+        set_session_cookie(request, response, cookie, renewed, time.time())
+        return _document(asking.key, renewed)
+    if session_cookie(request) is not None and asking.key is None:
+        clear_session_cookie(request, response)
+    return SessionDocument(
+        who=asking.who,
+        scopes=[scope for scope in Scope if scope in asking.scopes],
+        expires_at=None,
+        has_keys=not context.keys.is_empty,
+    )
+
+
+@router.delete("", status_code=204, response_class=Response, responses=problem_responses(401, 403, 429))
+async def sign_out(request: Request, context: Context, asking: Asking) -> Response:
+    """Sign out: end the session of this browser and of each copy of its cookie; without one, nothing happens."""
+    response = Response(status_code=204)
+    if asking.session is not None:
+        require_own_page(request, context.settings)
+        await asyncio.to_thread(context.sessions.end, asking.session, time.time())
+        await context.store.note_change(
+            str(asking.who), "session ended", asking.session.key, after={"by": asking.who}
+        )
+    clear_session_cookie(request, response)
+    return response
+
+
+def _document(key: Key, session: SessionCookie) -> SessionDocument:
+    expires_at = rfc3339(datetime.fromtimestamp(session.expires_s, UTC))
+    if isinstance(key, StoredKey) and key.expires_at is not None:
+        expires_at = min(expires_at, key.expires_at)
+    return SessionDocument(
+        who=f"key {key.name}", scopes=list(key.scopes), expires_at=expires_at, has_keys=True
+    )

@@ -1,0 +1,41 @@
+"""Documents and drawings of the reading process: made once for all who ask the same."""
+
+from collections.abc import Callable, Hashable
+
+from fastapi import Request, Response
+
+from service.store import read
+from service.web.context import ApiContext
+from service.web.etags import NOT_MODIFIED, Responses, etag, unchanged
+
+MEDIA_TYPE = "image/svg+xml"
+SVG: Responses = {200: {"content": {MEDIA_TYPE: {}}}, **NOT_MODIFIED}
+"""How routes describe their drawing."""
+POLICY = "default-src 'none'; style-src 'unsafe-inline'"
+"""What a browser lets a drawing do that is opened by itself: it has no scripts and loads nothing."""
+
+
+async def shared(
+    context: ApiContext,
+    function: Callable[..., str | None],
+    *arguments: Hashable,
+    keep_s: float,
+) -> str | None:
+    """Return `function(connection, *arguments)`, made in the reading process, once for all who ask the same.
+
+    It is kept for a time, as long as there is no new result and no new event.
+    """
+    store = context.store
+
+    async def make() -> str | None:
+        return await context.reading.run(read, store.path, function, *arguments)
+
+    question = (function, arguments, store.last_seq, store.last_event)
+    return await context.shared.get(question, make, keep_s=keep_s)
+
+
+def svg_answer(asked: Request, text: str) -> Response:
+    """Return the answer with a drawing, or that the client has it."""
+    tag = etag(text)
+    headers = {"ETag": tag, "Cache-Control": "private, no-cache", "Content-Security-Policy": POLICY}
+    return unchanged(asked, tag) or Response(text, media_type=MEDIA_TYPE, headers=headers)
