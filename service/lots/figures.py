@@ -1,6 +1,6 @@
 """The figures of a lot as REST returns them and the report prints them."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from pydantic import Field
 
@@ -215,15 +215,34 @@ class LotFigures(Report):
     is_replay: bool = Field(description="True when some stones did not fall")
 
 
+INDICES = tuple(name for name, field in ShapeIndices.model_fields.items() if field.annotation is Estimate)
+"""The figures of a lot beside its curve and ASTM D4791."""
+UNITS = {"percent": "%", "mm": "mm", "kg": "kg"}
+
+
+def unit_of(name: str) -> str | None:
+    """Return the unit at the end of a figure's name, None for a plain number."""
+    return UNITS.get(name.rpartition("_")[2])
+
+
+def decision_on(figures: LotFigures, index: str) -> Decision | None:
+    """Return the verdict on one of `INDICES`, None without limits."""
+    decision: Decision | None = getattr(figures, index.replace("percent", "decision"), None)
+    return decision
+
+
+def shares_of(forms: Iterable[FlatAndElongated]) -> Iterator[tuple[int, str, str, Estimate]]:
+    """Yield the shares of ASTM D4791: ratio, name in `FlatAndElongated`, basis that was counted by, figure."""
+    for form in forms:
+        for name, by in form:
+            if name != "ratio":
+                yield from ((form.ratio, name, counted, figure) for counted, figure in by.items())
+
+
 def named_figures(figures: LotFigures) -> dict[str, Estimate]:
     """Return curve, sizes and indices, with the sieve or the share in their name and the unit at its end."""
-    indices = figures.indices
     return {
         **{f"passing_{step.sieve_mm:g}_mm_percent": step.passing_percent for step in figures.curve},
         **{f"d{each.percent}_mm": each.exact_mm for each in figures.quantiles},
-        **{
-            name: value
-            for name in type(indices).model_fields
-            if isinstance(value := getattr(indices, name), Estimate)
-        },
+        **{name: getattr(figures.indices, name) for name in INDICES},
     }

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 from pipeline.gradation.specification import Verdict
 from service.lots.figures import Decision, LotDocument
 from service.lots.lots import LotState
-from service.reports.document import DASH, Document, NamesAndValues, Section, Signatures
+from service.reports.document import DASH, Document, Section, Signatures, facts
 from service.reports.evidence import accounting, calibration, gallery, uncertainty, versions
 from service.reports.report import ReportData
-from service.reports.results import gradation, indices, laboratory, limits, with_interval
+from service.reports.results import gradation, indices, judged_indices, laboratory, limits, with_interval
 from service.reports.texts import LONGEST_HEADING, abridged
 from service.reports.words import Words, words
 
@@ -17,6 +17,7 @@ def document_of(data: ReportData) -> Document:
     """Return the report as HTML and PDF print it."""
     say, figures = words(data.language), data.figures
     name = abridged(figures.lot.lot, LONGEST_HEADING) if figures.lot else say("report.no_lot")
+    signed = (say("signature.tested_by"), say("signature.released_by"))
     sections = (
         lot_section(data, say),
         gradation(data, say),
@@ -27,17 +28,14 @@ def document_of(data: ReportData) -> Document:
         uncertainty(data, say),
         *((gallery(data.gallery, say),) if data.gallery else ()),
         versions(data, say),
-        Section(
-            say("signature.title"), (Signatures((say("signature.tested_by"), say("signature.released_by"))),)
-        ),
+        Section(say("signature.title"), (Signatures(signed),)),
     )
-    verdict = None if _is_void(figures.lot) else figures.verdict
     return Document(
         language=data.language,
         title=say("report.title", name=name),
         subtitle=_subtitle(data, say),
         banners=tuple(banners(data, say)),
-        verdict=verdict,
+        verdict=None if _is_void(figures.lot) else figures.verdict,
         verdict_title=_verdict_title(data, say),
         verdict_lines=tuple(countdown(data, say)),
         sections=sections,
@@ -85,12 +83,11 @@ def countdown(data: ReportData, say: Words) -> Iterator[str]:
     """Yield the figures that keep the lot from conforming, with the stones and time that would decide each."""
     figures = data.figures
     named = [
-        (say("verdict_box.sieve", sieve=say.size(step.sieve_mm)), step.decision, step.passing_percent)
+        (say("verdict_box.sieve", sieve=say.size(step.sieve_mm)), step.passing_percent, step.decision)
         for step in figures.curve
     ]
-    named.append((say("indices.flakiness"), figures.flakiness_decision, figures.indices.flakiness_percent))
-    named.append((say("indices.shape"), figures.shape_decision, figures.indices.shape_percent))
-    judged = [(name, decision, figure) for name, decision, figure in named if decision is not None]
+    named += [(title, figure, decision) for _, title, figure, decision in judged_indices(figures, say)]
+    judged = [(name, decision, figure) for name, figure, decision in named if decision is not None]
     for name, decision, figure in judged:
         if figure.value is None:
             yield say("verdict_box.unmeasured_line", name=name, limits=limits(decision, say))
@@ -127,39 +124,33 @@ def duration(seconds: float, say: Words) -> str:
 def lot_section(data: ReportData, say: Words) -> Section:
     """Return the section on the lot, in ISA-95 terms."""
     figures, lot, product = data.figures, data.figures.lot, data.figures.product
-    pairs: list[tuple[str, str | None]] = []
+    values: dict[str, str | None] = {}
     if lot is not None:
-        pairs += [
-            (say("lot.lot"), lot.lot),
-            (say("lot.sublot"), lot.sublot),
-            (say("lot.state"), say.known("lot_state", lot.state)),
-        ]
+        values = {"lot": lot.lot, "sublot": lot.sublot, "state": say.known("lot_state", lot.state)}
     if product is not None:
         version = say("lot.product_version", product=product.product, version=product.version)
-        pairs += [
-            (say("lot.product"), f"{product.title} ({version})"),
-            (say("lot.density"), say("lot.kg_m3", value=say.number(product.density_kg_m3, 0))),
-        ]
-    pairs += [
-        (say("lot.specification"), figures.specification),
-        (say("lot.specification_source"), figures.specification_source),
-        (say("lot.sieve_set"), figures.sieve_set),
-    ]
+        density = say("lot.kg_m3", value=say.number(product.density_kg_m3, 0))
+        values |= {"product": f"{product.title} ({version})", "density": density}
+    values |= {
+        "specification": figures.specification,
+        "specification_source": figures.specification_source,
+        "sieve_set": figures.sieve_set,
+    }
     if lot is not None:
-        tonnage = None if lot.tonnage_t is None else say("lot.tonnes", value=say.number(lot.tonnage_t, 1))
-        pairs += [
-            (say("lot.equipment"), lot.equipment),
-            (say("lot.sample_id"), lot.sample_id),
-            (say("lot.sampler"), lot.sampler),
-            (say("lot.tonnage"), tonnage),
-            (say("lot.opened"), say.time(lot.opened_at)),
-            (say("lot.closed"), say.time(lot.closed_at) if lot.closed_at else say("lot.not_closed")),
-            (say("lot.revision"), str(lot.revision) if lot.revision > 1 else None),
-        ]
+        values |= {
+            "equipment": lot.equipment,
+            "sample_id": lot.sample_id,
+            "sampler": lot.sampler,
+            "tonnage": None
+            if lot.tonnage_t is None
+            else say("lot.tonnes", value=say.number(lot.tonnage_t, 1)),
+            "opened": say.time(lot.opened_at),
+            "closed": say.time(lot.closed_at) if lot.closed_at else say("lot.not_closed"),
+            "revision": str(lot.revision) if lot.revision > 1 else None,
+        }
     if figures.since and figures.until:
-        pairs.append((say("lot.stones_fell"), f"{say.time(figures.since)} – {say.time(figures.until)}"))
+        values["stones_fell"] = f"{say.time(figures.since)} – {say.time(figures.until)}"
     if lot is not None:
-        pairs.append((say("lot.remark"), lot.remark))
-    return Section(
-        say("lot.title"), (NamesAndValues([(name, abridged(value)) for name, value in pairs if value]),)
-    )
+        values["remark"] = lot.remark
+    printed = {name: value and abridged(value) for name, value in values.items()}
+    return Section(say("lot.title"), (facts(say, "lot", **printed),))

@@ -1,18 +1,24 @@
-"""The report as one CSV table (RFC 4180) in the words of REST: the same columns in every row and every language."""
+"""The report as one CSV table (RFC 4180) in the words of REST: one figure a row, the same in every language."""
 
 import csv
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from io import StringIO
 
-from service.reports.flat import Row, rows
+from pipeline.gradation.estimates import Estimate
+from service.lots.figures import (
+    INDICES,
+    Decision,
+    FlatAndElongated,
+    LotFigures,
+    decision_on,
+    shares_of,
+    unit_of,
+)
 from service.reports.report import ReportData, Scalar
 from service.reports.texts import plain
 
-COLUMNS = (
-    "section",
-    "name",
-    "sieve_mm",
-    "value",
-    "unit",
+UNCERTAINTY = (
     "low_95",
     "high_95",
     "standard_error",
@@ -20,14 +26,23 @@ COLUMNS = (
     "measuring_se",
     "systematic_se",
     "n_effective",
-    "state",
-    "limit_min",
-    "limit_max",
-    "verdict",
-    "more_stones",
-    "more_s",
 )
+DECIDED = ("limit_min", "limit_max", "verdict", "more_stones", "more_s")
+COLUMNS = ("section", "name", "sieve_mm", "value", "unit", *UNCERTAINTY, "state", *DECIDED)
 FORMULA_STARTS = ("=", "+", "-", "@", "＝", "＋", "－", "＠")  # spreadsheets read the wide ones alike
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A text or a number of a report; what does not apply is None, and so is what was not measured."""
+
+    section: str
+    name: str
+    value: Scalar = None
+    unit: str | None = None
+    sieve_mm: float | None = None
+    figure: Estimate | None = None  # with interval and errors; its value is `value`
+    decision: Decision | None = None
 
 
 def render_csv(data: ReportData) -> bytes:
@@ -35,7 +50,7 @@ def render_csv(data: ReportData) -> bytes:
     file = StringIO(newline="")
     writer = csv.writer(file, lineterminator="\r\n")
     writer.writerow(COLUMNS)
-    writer.writerows([cell(value) for value in _values(row)] for row in rows(data))
+    writer.writerows([cell(value) for value in _values(row)] for row in _rows(data))
     return file.getvalue().encode("utf-8", "replace")
 
 
@@ -54,25 +69,121 @@ def cell(value: Scalar) -> str:
 
 def _values(row: Row) -> tuple[Scalar, ...]:
     figure, decision = row.figure, row.decision
-    uncertain: tuple[Scalar, ...] = (None,) * 7
-    if figure is not None:
-        uncertain = (
-            figure.low,
-            figure.high,
-            figure.standard_error,
-            figure.sampling_se,
-            figure.measuring_se,
-            figure.systematic_se,
-            None if figure.value is None else figure.n_effective,
-        )
-    decided: tuple[Scalar, ...] = (None,) * 5
+    uncertainty: list[Scalar] = [None] * len(UNCERTAINTY)
+    if figure is not None and figure.value is not None:
+        uncertainty = [getattr(figure, name.removesuffix("_95")) for name in UNCERTAINTY]
+    decided: tuple[Scalar, ...] = (None,) * len(DECIDED)
     if decision is not None:
-        decided = (
-            decision.limits.min_percent,
-            decision.limits.max_percent,
-            str(decision.verdict),
-            decision.more_stones,
-            decision.more_s,
-        )
-    state = None if figure is None else str(figure.state)
-    return (row.section, row.name, row.sieve_mm, row.value, row.unit, *uncertain, state, *decided)
+        low, high = decision.limits.min_percent, decision.limits.max_percent
+        decided = (low, high, decision.verdict, decision.more_stones, decision.more_s)
+    state = None if figure is None else figure.state
+    return (row.section, row.name, row.sieve_mm, row.value, row.unit, *uncertainty, state, *decided)
+
+
+def _rows(data: ReportData) -> Iterator[Row]:
+    """Yield all rows of a report but those of single stones."""
+    yield from _lot_rows(data.figures)
+    yield from _curve_rows(data.figures)
+    yield from _index_rows(data.figures)
+    yield from _laboratory_rows(data)
+    yield from accounting_rows(data.figures)
+    yield from _about_rows(data)
+
+
+def _named(section: str, values: Mapping[str, Scalar], unit: str | None = None) -> Iterator[Row]:
+    return (Row(section, name, value, unit) for name, value in values.items())
+
+
+def _lot_rows(figures: LotFigures) -> Iterator[Row]:
+    """Yield the lot, its product and its verdict."""
+    for section, part in (("lot", figures.lot), ("product", figures.product)):
+        if part is not None:
+            yield from _named(section, part.model_dump(mode="json"))
+    for section, names in (
+        ("lot", ("sieve_set", "specification", "specification_source", "since", "until")),
+        ("verdict", ("verdict", "is_partial", "countdown")),
+    ):
+        yield from _named(section, {name: getattr(figures, name) for name in names})
+
+
+def _curve_rows(figures: LotFigures) -> Iterator[Row]:
+    """Yield the curve by mass and by number, then the quantiles."""
+    for step in figures.curve:
+        yield _figure_row("curve", "passing_percent", step.passing_percent, step.decision, step.sieve_mm)
+        by_number = step.passing_by_number_percent
+        yield _figure_row("curve", "passing_by_number_percent", by_number, sieve_mm=step.sieve_mm)
+    for quantile in figures.quantiles:
+        yield _figure_row("quantiles", f"d{quantile.percent}_interpolated_mm", quantile.interpolated_mm)
+        yield _figure_row("quantiles", f"d{quantile.percent}_exact_mm", quantile.exact_mm)
+
+
+def _index_rows(figures: LotFigures) -> Iterator[Row]:
+    """Yield the figures of the whole lot."""
+    found = figures.indices
+    for name in INDICES:
+        yield _figure_row("indices", name, getattr(found, name), decision_on(figures, name))
+    yield from _form_rows("d4791", found.flat_and_elongated)
+    for part in found.flat_and_elongated_fractions:
+        section = f"d4791 {part.lower_mm:g} to {part.upper_mm:g} mm"
+        yield Row(section, "mass_percent", part.mass_percent, "%")
+        yield Row(section, "n_stones", part.n_stones, "stones")
+        yield from _form_rows(section, part.forms)
+    yield from _form_rows("d4791 mean by mass", found.flat_and_elongated_weighted)
+
+
+def _form_rows(section: str, forms: Iterable[FlatAndElongated]) -> Iterator[Row]:
+    for ratio, name, counted, figure in shares_of(forms):
+        yield Row(section, f"1:{ratio} {name} by {counted}", figure.value, "%", figure=figure)
+
+
+def _figure_row(
+    section: str, name: str, figure: Estimate, decision: Decision | None = None, sieve_mm: float | None = None
+) -> Row:
+    return Row(section, name, figure.value, unit_of(name), sieve_mm, figure, decision)
+
+
+def _laboratory_rows(data: ReportData) -> Iterator[Row]:
+    for sieving in data.sievings:
+        about = {"id": sieving.id, "at": sieving.at, "by": sieving.by, "study": sieving.correlation}
+        yield from _named("laboratory", about)
+        for step in sieving.steps:
+            for name in ("passing_percent", "correlated_percent"):
+                yield Row("laboratory", name, getattr(step, name), "%", step.sieve_mm)
+
+
+def accounting_rows(figures: LotFigures) -> Iterator[Row]:
+    """Yield the accounting: outcomes, bodies, and the mass that was not measured."""
+    counts = {name: getattr(figures, name) for name in ("triggers", "measured", "rejected", "lost")}
+    counts |= {f"measured: {quality}": n for quality, n in figures.by_quality.items()}
+    counts |= {f"body: {body}": n for body, n in figures.by_body.items()}
+    counts |= {f"not_refined: {why}": n for why, n in figures.not_refined.items()}
+    missing = figures.unmeasured
+    yield from _named("accounting", counts | dict(missing.by_reason), "stones")
+    for name, value in (
+        ("unmeasured_expected_percent", missing.expected_percent),
+        ("unmeasured_at_most_percent", missing.at_most_percent),
+        ("n_effective", figures.n_effective),
+        ("mass_kg", figures.mass_kg),
+        ("least_portion_kg", figures.least_portion_kg),
+    ):
+        yield Row("accounting", name, value, unit_of(name))
+
+
+def _about_rows(data: ReportData) -> Iterator[Row]:
+    """Yield calibration, verification and versions behind the figures."""
+    figures, last = data.figures, data.verification
+    verification = ("id", "at", "outcome", "diameter_mm", "error_mm")
+    known: Mapping[str, Scalar] = {
+        "is_simulated": figures.is_simulated,
+        "is_replay": figures.is_replay,
+        "calibration_ids": ", ".join(figures.calibration_ids),
+        "scale_sd_percent": figures.scale_sd_percent,
+        **{f"verification_{name}": None if last is None else getattr(last, name) for name in verification},
+        "is_verification_overdue": data.is_verification_overdue,
+        "uncertainty_remark": data.uncertainty_remark,
+        "algorithm_versions": ", ".join(figures.algorithm_versions),
+        "software_version": data.software_version,
+        "api_version": data.api_version,
+        "created_at": data.created_at,
+    }
+    yield from _named("about", known)

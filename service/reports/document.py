@@ -6,6 +6,7 @@ from typing import ClassVar
 
 from pipeline.gradation.specification import Verdict
 from service.reports.drawing import Drawing
+from service.reports.words import Words
 
 DASH = "–"
 """Stands where there is nothing to say."""
@@ -27,6 +28,11 @@ class NamesAndValues:
             return (), self.pairs
         short = [pair for pair in self.pairs if len(pair[1]) <= LONGEST_IN_HALF_A_LINE]
         return short, [pair for pair in self.pairs if len(pair[1]) > LONGEST_IN_HALF_A_LINE]
+
+
+def facts(say: Words, section: str, **values: str | None) -> NamesAndValues:
+    """Return the values that are known and not empty, each named by the text `section.NAME`."""
+    return NamesAndValues([(say(f"{section}.{name}"), value) for name, value in values.items() if value])
 
 
 @dataclass(frozen=True, slots=True)

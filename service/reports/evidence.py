@@ -1,90 +1,77 @@
 """Evidence of a report: accounting, calibration, uncertainty, pictures, versions."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 
+from pipeline.gradation.stones import Fate
 from service.lots.figures import LotFigures
-from service.reports.document import DASH, Card, Cards, Column, NamesAndValues, Note, Section, Table
-from service.reports.report import GalleryStone, LastVerification, ReportData
+from service.reports.document import DASH, Block, Card, Cards, Column, Note, Section, Table, facts
+from service.reports.report import GalleryStone, LastVerification, ReportData, VerificationOutcome
 from service.reports.texts import LONGEST_HEADING, abridged
 from service.reports.words import Words
 
 MOST_CARDS = 8
+FAMILIES: Mapping[str, tuple[str, str]] = {
+    Fate.MEASURED: ("outcome", "quality"),
+    Fate.REJECTED: ("outcome", "reason"),
+    Fate.LOST: ("outcome", "reason"),
+}
+"""Sections of the words for the two parts of an entry of the accounting; of others `accounting` and the first part."""
 
 
 def accounting(figures: LotFigures, say: Words) -> Section:
     """Return the section on the outcome of every stone that fell, and on the mass missing in the curve."""
-    missing = figures.unmeasured
-    by_quality = ", ".join(
-        f"{say.known('quality', quality)} {say.number(n, 0)}" for quality, n in figures.by_quality.items()
+    missing, mass_kg, by_body = figures.unmeasured, figures.mass_kg, figures.by_body
+    measured = say.number(figures.measured, 0)
+    if figures.by_quality:
+        measured += f" ({abridged(_counts('quality', figures.by_quality, say))})"
+    n_known = sum(by_body.values())
+    shares = (
+        say("accounting.share", name=say.known("body", body), n=say.number(n, 0), percent=percent)
+        for body, n in by_body.items()
+        for percent in (say.number(100 * n / n_known, 1),)
     )
-    measured = (
-        f"{say.number(figures.measured, 0)} ({abridged(by_quality)})"
-        if by_quality
-        else say.number(figures.measured, 0)
+    block = facts(
+        say,
+        "accounting",
+        triggers=say.number(figures.triggers, 0),
+        measured=measured,
+        body=", ".join(shares),
+        not_refined=_counts("not_refined", figures.not_refined, say),
+        rejected=say.number(figures.rejected, 0),
+        lost=say.number(figures.lost, 0),
+        n_effective=say.number(figures.n_effective, 0),
+        mass=say("accounting.no_mass")
+        if mass_kg is None
+        else say("accounting.kg", value=say.number(mass_kg, 2)),
+        portion=portion(figures, say),
     )
-    facts = NamesAndValues(
-        (
-            (say("accounting.triggers"), say.number(figures.triggers, 0)),
-            (say("accounting.measured"), measured),
-            *_bodies(figures, say),
-            (say("accounting.rejected"), say.number(figures.rejected, 0)),
-            (say("accounting.lost"), say.number(figures.lost, 0)),
-            (say("accounting.n_effective"), say.number(figures.n_effective, 0)),
-            (say("accounting.mass"), _mass(figures.mass_kg, say)),
-            (say("accounting.portion"), portion(figures, say)),
-        )
-    )
+    n_missing = say.number(missing.n_stones, 0)
     if not missing.n_stones:
-        return Section(say("accounting.title"), (facts, Note(say("accounting.nothing_missing"))))
+        return Section(say("accounting.title"), (block, Note(say("accounting.nothing_missing"))))
     table = Table(
         (Column(say("accounting.reason"), is_number=False, width=4), Column(say("accounting.stones"))),
-        [(_reason(reason, say), say.number(n, 0)) for reason, n in missing.by_reason.items()],
+        [(accounted(reason, say), say.number(n, 0)) for reason, n in missing.by_reason.items()],
     )
-    unknown = missing.expected_percent is None or missing.at_most_percent is None
-    bound = (
-        say("accounting.bound_unknown", n=say.number(missing.n_stones, 0))
-        if unknown
-        else say(
-            "accounting.bound",
-            n=say.number(missing.n_stones, 0),
-            expected=say.number(missing.expected_percent, 1),
-            at_most=say.number(missing.at_most_percent, 1),
+    bound = say("accounting.bound_unknown", n=n_missing)
+    if missing.expected_percent is not None and missing.at_most_percent is not None:
+        expected, at_most = (
+            say.number(percent, 1) for percent in (missing.expected_percent, missing.at_most_percent)
         )
-    )
-    return Section(say("accounting.title"), (facts, Note(say("accounting.missing")), table, Note(bound)))
+        bound = say("accounting.bound", n=n_missing, expected=expected, at_most=at_most)
+    return Section(say("accounting.title"), (block, Note(say("accounting.missing")), table, Note(bound)))
 
 
-def _bodies(figures: LotFigures, say: Words) -> Iterator[tuple[str, str]]:
-    """Yield the counts of estimated and refined bodies, and the reasons why some were only estimated."""
-    n_known = sum(figures.by_body.values())
-    shares = (
-        say(
-            "accounting.share",
-            name=say.known("body", body),
-            n=say.number(n, 0),
-            percent=say.number(100 * n / n_known, 1),
-        )
-        for body, n in figures.by_body.items()
-    )
-    whys = (f"{say.known('not_refined', why)} {say.number(n, 0)}" for why, n in figures.not_refined.items())
-    if figures.by_body:
-        yield say("accounting.body"), ", ".join(shares)
-    if figures.not_refined:
-        yield say("accounting.not_refined"), ", ".join(whys)
+def _counts(family: str, counts: Mapping[str, int], say: Words) -> str:
+    return ", ".join(f"{say.known(family, word)} {say.number(n, 0)}" for word, n in counts.items())
 
 
-def _mass(mass_kg: float | None, say: Words) -> str:
-    return (
-        say("accounting.no_mass") if mass_kg is None else say("accounting.kg", value=say.number(mass_kg, 2))
-    )
-
-
-def _reason(text: str, say: Words) -> str:
-    """Return `rejected: clipped` in the language of the report."""
-    outcome, separator, reason = text.partition(": ")
+def accounted(name: str, say: Words) -> str:
+    """Return an entry of the accounting in the words of a language: `rejected: clipped`, `body: photo`, `mass_kg`."""
+    group, separator, word = name.partition(": ")
     if not separator:
-        return abridged(text)
-    return f"{say.known('outcome', outcome)}: {say.known('reason', reason)}"
+        return say.known("accounting", name)
+    heading, family = FAMILIES.get(group, ("accounting", group))
+    return f"{say.known(heading, group)}: {say.known(family, word)}"
 
 
 def portion(figures: LotFigures, say: Words) -> str:
@@ -92,52 +79,45 @@ def portion(figures: LotFigures, say: Words) -> str:
     least_kg, mass_kg = figures.least_portion_kg, figures.mass_kg
     if least_kg is None:
         return say("accounting.portion_unknown")
+    least = say.number(least_kg, 2)
     if mass_kg is None:
-        return say("accounting.portion_without_mass", least=say.number(least_kg, 2))
+        return say("accounting.portion_without_mass", least=least)
     key = "accounting.portion_reached" if mass_kg >= least_kg else "accounting.portion_not_reached"
     # rounded down: 99.7 % is not 100 %
     percent = int(100 * mass_kg / least_kg) if least_kg > 0 else 100
-    return say(
-        key, mass=say.number(mass_kg, 2), least=say.number(least_kg, 2), percent=say.number(percent, 0)
-    )
+    return say(key, mass=say.number(mass_kg, 2), least=least, percent=say.number(percent, 0))
 
 
 def calibration(data: ReportData, say: Words) -> Section:
     """Return the section on the calibrations of the results and the last verification."""
     figures, last = data.figures, data.verification
-    ids = ", ".join(figures.calibration_ids) or say("calibration.none")
-    facts = NamesAndValues(
-        (
-            (say("calibration.ids"), abridged(ids)),
-            (
-                say("calibration.scale"),
-                say("calibration.percent", value=say.number(figures.scale_sd_percent, 3)),
-            ),
-            (say("calibration.last"), say("calibration.never") if last is None else _verification(last, say)),
+    blocks: list[Block] = [
+        facts(
+            say,
+            "calibration",
+            ids=abridged(", ".join(figures.calibration_ids) or say("calibration.none")),
+            scale=say("calibration.percent", value=say.number(figures.scale_sd_percent, 3)),
+            last=say("calibration.never") if last is None else _verification(last, say),
         )
-    )
-    warnings = []
+    ]
     if last is None or data.is_verification_overdue:
-        warnings.append(Note(say("calibration.overdue"), is_warning=True))
-    if last is not None and last.outcome == "failed":
-        warnings.append(Note(say("calibration.failed"), is_warning=True))
-    return Section(say("calibration.title"), (facts, *warnings))
+        blocks.append(Note(say("calibration.overdue"), is_warning=True))
+    if last is not None and last.outcome is VerificationOutcome.FAILED:
+        blocks.append(Note(say("calibration.failed"), is_warning=True))
+    return Section(say("calibration.title"), blocks)
 
 
 def _verification(last: LastVerification, say: Words) -> str:
-    outcome, at = say.known("verification", last.outcome), say.time(last.at)
-    diameter = say.number(last.diameter_mm, 2)
-    if last.error_mm is None:
-        return say(
-            "calibration.verified_without_error",
-            outcome=outcome,
-            at=at,
-            diameter=diameter,
-            id=abridged(last.id),
-        )
-    error = ("+" if last.error_mm > 0 else "") + say.number(last.error_mm, 3)
+    key, error = "calibration.verified_without_error", ""
+    if last.error_mm is not None:
+        key, error = "calibration.verified", ("+" if last.error_mm > 0 else "") + say.number(last.error_mm, 3)
     return say(
-        "calibration.verified", outcome=outcome, at=at, diameter=diameter, id=abridged(last.id), error=error
+        key,
+        outcome=say.known("verification", last.outcome),
+        at=say.time(last.at),
+        diameter=say.number(last.diameter_mm, 2),
+        id=abridged(last.id),
+        error=error,
     )
 
 
@@ -181,17 +161,12 @@ def gallery(stones: Sequence[GalleryStone], say: Words) -> Section:
 
 def versions(data: ReportData, say: Words) -> Section:
     """Return the section on the versions of software, algorithm and interface."""
-    algorithms = ", ".join(data.figures.algorithm_versions) or DASH
-    return Section(
-        say("versions.title"),
-        (
-            NamesAndValues(
-                (
-                    (say("versions.software"), abridged(data.software_version)),
-                    (say("versions.algorithm"), abridged(algorithms)),
-                    (say("versions.api"), abridged(data.api_version)),
-                    (say("versions.created"), say.time(data.created_at)),
-                )
-            ),
-        ),
+    block = facts(
+        say,
+        "versions",
+        software=abridged(data.software_version),
+        algorithm=abridged(", ".join(data.figures.algorithm_versions) or DASH),
+        api=abridged(data.api_version),
+        created=say.time(data.created_at),
     )
+    return Section(say("versions.title"), (block,))

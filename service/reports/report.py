@@ -1,6 +1,6 @@
 """Data of a lot's report: its figures, and the rest that a person signs for."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -95,14 +95,6 @@ class GalleryStone:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StoneTable:
-    """A row for each stone of the lot, for the workbook."""
-
-    columns: Sequence[str]
-    rows: Sequence[Sequence[Scalar]]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ReportData:
     """All that a report says, finished; it can be pickled."""
 
@@ -116,16 +108,3 @@ class ReportData:
     uncertainty_remark: str | None = None  # of this rig, beside the statement that every report has
     sievings: Sequence[LaboratorySieving] = ()
     gallery: Sequence[GalleryStone] = ()
-    stones: StoneTable | None = None
-
-
-def stone_table(records: Iterable[Mapping[str, object]], columns: Sequence[str]) -> StoneTable:
-    """Return the columns that were asked for of result records; lists and objects are left out."""
-    rows = [
-        tuple(
-            value if isinstance(value, str | int | float | bool) else None
-            for value in map(record.get, columns)
-        )
-        for record in records
-    ]
-    return StoneTable(columns=tuple(columns), rows=rows)

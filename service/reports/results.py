@@ -2,7 +2,7 @@
 
 from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.specification import Verdict
-from service.lots.figures import CurveStep, Decision, Quantile, ShapeIndices
+from service.lots.figures import Decision, LotFigures, ShapeIndices, decision_on, unit_of
 from service.reports.curve import gradation_curve
 from service.reports.document import DASH, Block, Column, Note, Picture, Section, Table
 from service.reports.report import LaboratorySieving, ReportData
@@ -42,7 +42,18 @@ def gradation(data: ReportData, say: Words) -> Section:
         Column(say("curve.verdict"), is_number=False, width=1.5),
     )
     steps = sorted(figures.curve, key=lambda step: -step.sieve_mm)
-    table = Table(columns, [_step_row(step, say) for step in steps], [_step_verdict(step) for step in steps])
+    rows = [
+        (
+            say.size(step.sieve_mm),
+            say.estimate(step.passing_percent, 1),
+            say.interval(step.passing_percent, 1),
+            say.estimate(step.passing_by_number_percent, 1),
+            limits(step.decision, say),
+            verdict_word(step.decision, step.passing_percent, say),
+        )
+        for step in steps
+    ]
+    table = Table(columns, rows, [_verdict(step.decision) for step in steps])
     quantiles = Table(
         (
             Column(say("quantiles.size"), is_number=False, width=0.7),
@@ -51,7 +62,17 @@ def gradation(data: ReportData, say: Words) -> Section:
             Column(say("quantiles.exact")),
             Column(say("curve.interval"), width=1.3),
         ),
-        [_quantile_row(quantile, say) for quantile in figures.quantiles],
+        [
+            (
+                f"D{quantile.percent}",
+                *(
+                    text(figure, 2)
+                    for figure in (quantile.interpolated_mm, quantile.exact_mm)
+                    for text in (say.estimate, say.interval)
+                ),
+            )
+            for quantile in figures.quantiles
+        ],
     )
     return Section(
         say("curve.title"),
@@ -65,19 +86,8 @@ def gradation(data: ReportData, say: Words) -> Section:
     )
 
 
-def _step_row(step: CurveStep, say: Words) -> tuple[str, ...]:
-    return (
-        say.size(step.sieve_mm),
-        say.estimate(step.passing_percent, 1),
-        say.interval(step.passing_percent, 1),
-        say.estimate(step.passing_by_number_percent, 1),
-        limits(step.decision, say),
-        verdict_word(step.decision, step.passing_percent, say),
-    )
-
-
-def _step_verdict(step: CurveStep) -> Verdict | None:
-    return None if step.decision is None else step.decision.verdict
+def _verdict(decision: Decision | None) -> Verdict | None:
+    return None if decision is None else decision.verdict
 
 
 def verdict_word(decision: Decision | None, figure: Estimate, say: Words) -> str:
@@ -87,29 +97,17 @@ def verdict_word(decision: Decision | None, figure: Estimate, say: Words) -> str
     return "" if figure.state is State.MEASURED else say.known("state", figure.state)
 
 
-def _quantile_row(quantile: Quantile, say: Words) -> tuple[str, ...]:
-    return (
-        f"D{quantile.percent}",
-        say.estimate(quantile.interpolated_mm, 2),
-        say.interval(quantile.interpolated_mm, 2),
-        say.estimate(quantile.exact_mm, 2),
-        say.interval(quantile.exact_mm, 2),
-    )
+def judged_indices(figures: LotFigures, say: Words) -> list[tuple[str, str, Estimate, Decision | None]]:
+    """Return name, title, figure and verdict of each index of the lot, in the order of the words."""
+    return [
+        (name, say(f"index.{name}"), getattr(figures.indices, name), decision_on(figures, name))
+        for name in say.family("index")
+    ]
 
 
 def indices(data: ReportData, say: Words) -> Section:
     """Return the figures of the whole lot, each with the standard that defines it."""
-    found = data.figures.indices
-    listed = (
-        ("indices.flakiness", found.flakiness_percent, 1, data.figures.flakiness_decision),
-        ("indices.shape", found.shape_percent, 1, data.figures.shape_decision),
-        ("indices.needle_flaky", found.needle_flaky_percent, 1, None),
-        ("indices.fineness_modulus", found.fineness_modulus, 2, None),
-        ("indices.uniformity", found.uniformity, 2, None),
-        ("indices.curvature", found.curvature, 2, None),
-        ("indices.d32", found.d32_mm, 2, None),
-        ("indices.d43", found.d43_mm, 2, None),
-    )
+    found, listed = data.figures.indices, judged_indices(data.figures, say)
     table = Table(
         (
             Column(say("indices.index"), is_number=False, width=3.8),
@@ -120,23 +118,23 @@ def indices(data: ReportData, say: Words) -> Section:
         ),
         [
             (
-                say(key),
-                say.estimate(figure, decimals),
+                title,
+                say.estimate(figure, decimals := 1 if unit_of(name) == "%" else 2),
                 say.interval(figure, decimals),
                 limits(decision, say),
                 verdict_word(decision, figure, say),
             )
-            for key, figure, decimals, decision in listed
+            for name, title, figure, decision in listed
         ],
-        [None if decision is None else decision.verdict for *_, decision in listed],
+        [_verdict(decision) for *_, decision in listed],
     )
     forms = Table(
         (
             Column(say("d4791.ratio"), is_number=False, width=0.85),
             Column(say("d4791.counted"), is_number=False, width=0.9),
-            Column(say("d4791.flat"), width=1.4),
-            Column(say("d4791.elongated"), width=1.4),
-            Column(say("d4791.flat_and_elongated"), width=1.5),
+            Column(say("d4791.flat_percent"), width=1.4),
+            Column(say("d4791.elongated_percent"), width=1.4),
+            Column(say("d4791.flat_and_elongated_percent"), width=1.5),
         ),
         [
             (

@@ -30,6 +30,10 @@ class Words:
         """Return the text of a word of the REST contract; one that has none is printed as it is."""
         return self.texts.get(f"{family}.{word}") or abridged(word, LONGEST_HEADING)
 
+    def family(self, section: str) -> list[str]:
+        """Return the words of the REST contract that a section has texts for, in the order of the file."""
+        return [key.removeprefix(f"{section}.") for key in self.texts if key.startswith(f"{section}.")]
+
     def number(self, value: float | None, decimals: int) -> str:
         """Return a number with the decimal mark of the language; `not measured` for None and for what is no number."""
         if value is None or not isfinite(value):

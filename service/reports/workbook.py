@@ -1,4 +1,4 @@
-"""The report as a workbook: curve with its chart, indices, accounting, stones. No text becomes a formula."""
+"""The report as a workbook: curve with its chart, indices, accounting. No text becomes a formula."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
@@ -9,18 +9,16 @@ from xlsxwriter import Workbook
 from xlsxwriter.worksheet import Worksheet
 
 from pipeline.gradation.estimates import Estimate
-from service.lots.figures import Decision, FlatAndElongated
+from service.lots.figures import Decision, FlatAndElongated, shares_of
 from service.reports.content import document_of
+from service.reports.csv_file import accounting_rows
 from service.reports.document import NamesAndValues, Note
-from service.reports.evidence import calibration, uncertainty, versions
-from service.reports.flat import accounting_rows
+from service.reports.evidence import accounted, calibration, uncertainty, versions
 from service.reports.report import ReportData, Scalar
+from service.reports.results import judged_indices
 from service.reports.texts import plain
 from service.reports.words import Words, words
 
-LONGEST_CELL = 32_000
-"""A spreadsheet takes 32 767 characters."""
-MOST_ROWS = 1_000_000
 OPTIONS = {
     "in_memory": True,
     "strings_to_formulas": False,
@@ -34,17 +32,11 @@ def render_xlsx(data: ReportData) -> bytes:
     file, say = BytesIO(), words(data.language)
     with Workbook(file, OPTIONS) as workbook:
         sheets = _Sheets(workbook)
-        workbook.set_properties({"title": plain(document_of(data).title)[:200], "created": _created(data)})
+        workbook.set_properties({"title": document_of(data).title[:200], "created": _created(data)})
         _curve(sheets, data, say)
         _indices(sheets, data, say)
         _laboratory(sheets, data, say)
         _accounting(sheets, data, say)
-        if data.stones is not None:
-            sheet = sheets.add(
-                say("xlsx.stones"), data.stones.columns, (24, *[14] * (len(data.stones.columns) - 1))
-            )
-            sheets.write(sheet, 1, data.stones.rows[:MOST_ROWS])
-            sheet.autofilter(0, 0, max(len(data.stones.rows), 1), max(len(data.stones.columns) - 1, 0))
         _about(sheets, data, say)
     return file.getvalue()
 
@@ -64,7 +56,7 @@ class _Sheets:
         sheet: Worksheet = self.workbook.add_worksheet(name)
         for column, (title, width) in enumerate(zip(head, widths, strict=True)):
             sheet.set_column(column, column, width)
-            sheet.write_string(0, column, plain(title)[:LONGEST_CELL], self.bold)
+            sheet.write_string(0, column, title, self.bold)
         sheet.freeze_panes(1, 0)
         return sheet
 
@@ -77,7 +69,7 @@ class _Sheets:
                     case bool():
                         sheet.write_boolean(row, column, value)
                     case str():
-                        sheet.write_string(row, column, plain(value)[:LONGEST_CELL])
+                        sheet.write_string(row, column, plain(value))
                     case int() | float() if isfinite(value):
                         sheet.write_number(row, column, value)
         return row + 1
@@ -157,43 +149,29 @@ def _indices(sheets: _Sheets, data: ReportData, say: Words) -> None:
     figures, found = data.figures, data.figures.indices
     head = (say("indices.index"), say("indices.value"), *_figure_head(say))
     sheet = sheets.add(say("xlsx.indices"), head, (52, 14, 12, 12, 14, 14, 12, 12, 18))
-    named: list[tuple[str, Estimate, Decision | None]] = [
-        (say("indices.flakiness"), found.flakiness_percent, figures.flakiness_decision),
-        (say("indices.shape"), found.shape_percent, figures.shape_decision),
-        (say("indices.needle_flaky"), found.needle_flaky_percent, None),
-        (say("indices.fineness_modulus"), found.fineness_modulus, None),
-        (say("indices.uniformity"), found.uniformity, None),
-        (say("indices.curvature"), found.curvature, None),
-        (say("indices.d32"), found.d32_mm, None),
-        (say("indices.d43"), found.d43_mm, None),
+    rows = [
+        (title, *_figure(each, decision, say)) for _, title, each, decision in judged_indices(figures, say)
     ]
-    for quantile in figures.quantiles:
-        named.append(
-            (f"D{quantile.percent}: {say('quantiles.interpolated')}", quantile.interpolated_mm, None)
+    named = [
+        (f"D{each.percent}: {say(key)}", figure)
+        for each in figures.quantiles
+        for key, figure in (
+            ("quantiles.interpolated", each.interpolated_mm),
+            ("quantiles.exact", each.exact_mm),
         )
-        named.append((f"D{quantile.percent}: {say('quantiles.exact')}", quantile.exact_mm, None))
+    ]
     named += _forms("", found.flat_and_elongated, say)
     for part in found.flat_and_elongated_fractions:
         sizes = say("d4791.between", lower=say.size(part.lower_mm), upper=say.size(part.upper_mm))
         named += _forms(f", {sizes} mm", part.forms, say)
     named += _forms(f", {say('d4791.weighted')}", found.flat_and_elongated_weighted, say)
-    sheets.write(sheet, 1, [(name, *_figure(figure, decision, say)) for name, figure, decision in named])
+    sheets.write(sheet, 1, rows + [(name, *_figure(figure, None, say)) for name, figure in named])
 
 
-def _forms(
-    of: str, forms: Iterable[FlatAndElongated], say: Words
-) -> Iterator[tuple[str, Estimate, Decision | None]]:
+def _forms(of: str, forms: Iterable[FlatAndElongated], say: Words) -> Iterator[tuple[str, Estimate]]:
     """Yield the shares of ASTM D4791, `of` all particles or some."""
-    for form in forms:
-        kinds: Mapping[str, Mapping[str, Estimate]] = {
-            "d4791.flat": form.flat_percent,
-            "d4791.elongated": form.elongated_percent,
-            "d4791.flat_and_elongated": form.flat_and_elongated_percent,
-        }
-        for key, by in kinds.items():
-            for counted, figure in by.items():
-                name = f"ASTM D4791 1:{form.ratio}: {say(key)}, {say.known('counted', counted)}{of}"
-                yield name, figure, None
+    for ratio, name, counted, figure in shares_of(forms):
+        yield f"ASTM D4791 1:{ratio}: {say(f'd4791.{name}')}, {say.known('counted', counted)}{of}", figure
 
 
 def _laboratory(sheets: _Sheets, data: ReportData, say: Words) -> None:
@@ -202,37 +180,20 @@ def _laboratory(sheets: _Sheets, data: ReportData, say: Words) -> None:
     keys = ("curve.sieve", "laboratory.raw", "laboratory.correlated", "laboratory.sieved")
     head = (say("laboratory.title"), *map(say, keys))
     sheet = sheets.add(say("xlsx.laboratory"), head, (24, 11, 16, 20, 16))
-    raw = {step.sieve_mm: step.passing_percent for step in data.figures.curve}
-    sheets.write(
-        sheet,
-        1,
-        [
-            (
-                sieving.id,
-                step.sieve_mm,
-                raw[step.sieve_mm].value if step.sieve_mm in raw else None,
-                step.correlated_percent,
-                step.passing_percent,
-            )
-            for sieving in data.sievings
-            for step in sieving.steps
-        ],
-    )
+    raw = {step.sieve_mm: step.passing_percent.value for step in data.figures.curve}
+    rows = [
+        (sieving.id, step.sieve_mm, raw.get(step.sieve_mm), step.correlated_percent, step.passing_percent)
+        for sieving in data.sievings
+        for step in sieving.steps
+    ]
+    sheets.write(sheet, 1, rows)
 
 
 def _accounting(sheets: _Sheets, data: ReportData, say: Words) -> None:
     head = (say("xlsx.name"), say("indices.value"))
     sheet = sheets.add(say("xlsx.accounting"), head, (48, 16))
-    sheets.write(sheet, 1, [(_accounting_name(row.name, say), row.value) for row in accounting_rows(data)])
-
-
-def _accounting_name(name: str, say: Words) -> str:
-    group, separator, word = name.partition(": ")
-    if not separator:
-        return say.known("accounting", name)
-    if group in ("body", "not_refined"):
-        return f"{say.known('accounting', group)}: {say.known(group, word)}"
-    return f"{say.known('outcome', group)}: {say.known('quality' if group == 'measured' else 'reason', word)}"
+    rows = [(accounted(row.name, say), row.value) for row in accounting_rows(data.figures)]
+    sheets.write(sheet, 1, rows)
 
 
 def _about(sheets: _Sheets, data: ReportData, say: Words) -> None:
@@ -241,7 +202,7 @@ def _about(sheets: _Sheets, data: ReportData, say: Words) -> None:
     sheet = sheets.add(say("xlsx.about"), (document.title, ""), (34, 90))
     row = 1
     for banner in (*document.banners, document.verdict_title):
-        sheet.write_string(row, 0, plain(banner)[:LONGEST_CELL], sheets.warning)
+        sheet.write_string(row, 0, banner, sheets.warning)
         row += 1
     row = sheets.write(sheet, row, [("", line) for line in document.verdict_lines])
     sections = (document.sections[0], calibration(data, say), uncertainty(data, say), versions(data, say))
@@ -250,12 +211,8 @@ def _about(sheets: _Sheets, data: ReportData, say: Words) -> None:
         sheet.write_string(row, 0, section.title, sheets.bold)
         row += 1
         for block in section.blocks:
-            pairs: Sequence[tuple[str, str]] = ()
-            if isinstance(block, NamesAndValues):
-                pairs = block.pairs
-            elif isinstance(block, Note):
-                pairs = (("", block.text),)
-            for name, text in pairs:
+            pairs = block.pairs if isinstance(block, NamesAndValues) else ()
+            for name, text in (("", block.text),) if isinstance(block, Note) else pairs:
                 sheet.write_string(row, 0, name, sheets.wrapped)
-                sheet.write_string(row, 1, text[:LONGEST_CELL], sheets.wrapped)
+                sheet.write_string(row, 1, text, sheets.wrapped)
                 row += 1

@@ -30,7 +30,6 @@ from service.reports.report import (
     LastVerification,
     ReportData,
     SievingStep,
-    StoneTable,
     VerificationOutcome,
 )
 
@@ -258,26 +257,6 @@ def sieving() -> LaboratorySieving:
         ],
         correlation="basalt-8-16/2",
     )
-
-
-def stones(n: int) -> StoneTable:
-    """Rows like those of the feed."""
-    rng = np.random.default_rng(0)
-    rows = [
-        (f"3f1c-{i:06d}", "measured", "good", size_mm**3 / 2, size_mm, 1.4 * size_mm, 0.6 * size_mm, None)
-        for i, size_mm in enumerate(rng.uniform(4, 20, n).tolist())
-    ]
-    columns = (
-        "id",
-        "outcome",
-        "quality",
-        "volume_mm3",
-        "sieve_size_mm",
-        "length_mm",
-        "thickness_mm",
-        "mass_g",
-    )
-    return StoneTable(columns=columns, rows=rows)
 
 
 def report_data(figures: Mapping[str, Any] | None = None, **changes: Any) -> ReportData:

@@ -1,13 +1,16 @@
 """The words of the reports: every key in every language, every key used, numbers as the language writes them."""
 
+import ast
 import re
-from collections.abc import Iterator
+from collections import UserDict
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from string import Formatter
 from typing import get_args
 
 import pytest
-from support.lot_figures import NOT_MEASURED, measured
+from support.lot_figures import NOT_MEASURED, lot_document, measured, report_data
 
 from pipeline.errors import RejectReason
 from pipeline.gradation.estimates import State
@@ -15,9 +18,11 @@ from pipeline.gradation.specification import Verdict
 from pipeline.particle import BodyKind
 from pipeline.views.quality import Quality
 from service.base.language import Language
+from service.lots.figures import INDICES, FlatAndElongated
 from service.lots.lots import LotState
 from service.lots.trends.changes import ChangedFigure
 from service.lots.trends.diary import DiaryKind
+from service.reports.content import lot_section
 from service.reports.report import GalleryReason, VerificationOutcome
 from service.reports.trend import TrendFigure
 from service.reports.words import words
@@ -37,6 +42,8 @@ FAMILIES = {
     "verification": list(VerificationOutcome),
     "gallery_reason": list(GalleryReason),
     "counted": ["mass", "number"],
+    "index": INDICES,
+    "d4791": [name for name in FlatAndElongated.model_fields if name != "ratio"],
     "diary_kind": list(DiaryKind),
     "diary_value": list(DiaryKind),
     "since": list(DiaryKind),
@@ -53,11 +60,33 @@ FAMILIES = {
 ENGLISH, GERMAN = words(Language.ENGLISH), words(Language.GERMAN)
 
 
+class Noted(UserDict[str, str]):
+    """Texts that know which of them were read."""
+
+    def __init__(self, texts: Mapping[str, str]) -> None:
+        super().__init__(texts)
+        self.keys_read: set[str] = set()
+
+    def __getitem__(self, key: str) -> str:
+        self.keys_read.add(key)
+        return super().__getitem__(key)
+
+
 def used_keys() -> Iterator[str]:
-    """Yield the keys that the sources name, and those of the words of the REST contract."""
+    """Yield the keys that the sources name, also as the names of facts, and those of the words of the REST contract."""
     sections = "|".join({key.partition(".")[0] for key in ENGLISH.texts})
     for path in SOURCES.glob("*.py"):
-        yield from re.findall(rf"""["']((?:{sections})\.\w+)["']""", path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        yield from re.findall(rf"""["']((?:{sections})\.\w+)["']""", text)
+        for node in ast.walk(ast.parse(text)):
+            match node:
+                case ast.Call(func=ast.Name("facts"), args=[_, ast.Constant(section)], keywords=named):
+                    yield from (f"{section}.{each.arg}" for each in named if each.arg)
+    lot_section(
+        report_data({"lot": lot_document(revision=2)}),
+        replace(ENGLISH, texts=(noted := Noted(ENGLISH.texts))),
+    )
+    yield from noted.keys_read
     for family, members in FAMILIES.items():
         yield from (f"{family}.{word}" for word in members)
 
