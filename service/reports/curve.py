@@ -1,7 +1,8 @@
 """The gradation curve as a drawing: passing over the logarithm of the size, with interval, limits and verdicts."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 from math import isfinite, log
 
@@ -15,27 +16,23 @@ from service.reports.drawing import (
     Dot,
     Drawing,
     DrawnLine,
+    Field,
     Label,
     Point,
     Shape,
+    Sign,
     Style,
+    box,
     label_width,
 )
 from service.reports.words import Words
 
 WIDTH, HEIGHT = 720.0, 402.0
-LEFT, RIGHT, TOP, BOTTOM = 58.0, 706.0, 14.0, 314.0
+FIELD = Field(top=14.0, bottom=314.0)
 MARGIN = 1.12
 """The axis ends beyond the first and the last sieve by this factor."""
 HATCH_DISTANCE = 7.0
 MARKER_RADIUS = 4.5
-VERDICT_STYLES = {
-    Verdict.CONFORMS: Style.CONFORMS,
-    Verdict.DOES_NOT_CONFORM: Style.DOES_NOT_CONFORM,
-    Verdict.UNDECIDED: Style.UNDECIDED,
-    Verdict.INSUFFICIENT: Style.INSUFFICIENT,
-    Verdict.NOT_MEASURED: Style.NO_LIMITS,
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,31 +53,33 @@ def gradation_curve(
     """Return the curve; `laboratory` is the passing by sieve of a second one, percent, `beside` one of other stones."""
     shown = shown_steps(steps)
     axes = _Axes([step.sieve_mm for step in shown])
-    second = {
-        size_mm: percent
-        for size_mm, percent in sorted((laboratory or {}).items())
-        if axes.least_mm < size_mm < axes.greatest_mm and isfinite(percent)
-    }
-    others = [] if beside is None else _on_axes(beside, axes)
+    second = axes.shown(laboratory or {})
+    passing = {} if beside is None else beside.passing_percent
+    others = axes.shown({size_mm: figure.value for size_mm, figure in passing.items()})
+    figures = [(size_mm, passing[size_mm]) for size_mm in others]
     return Drawing(
         width=WIDTH,
         height=HEIGHT,
         title=words("curve.title"),
-        description=_description(shown, words) + _description_beside(others, beside, words),
+        description=_description(shown, words) + _description_beside(figures, beside, words),
         shapes=(
             *_grid(shown, axes, words),
             *_limits(shown, axes),
             *_unmeasured(shown, axes, words),
-            *_beside_band(others, axes),
+            *_band(figures, axes, Style.BESIDE_BAND),
             *_curve(shown, axes),
             *_second_curve(second, axes, Style.LABORATORY),
-            *_second_curve({size_mm: figure.value or 0.0 for size_mm, figure in others}, axes, Style.BESIDE),
+            *_second_curve(others, axes, Style.BESIDE),
             *(
-                marker(axes.point(step.sieve_mm, _percent(step)), _verdict(step))
+                marker(axes.point(step.sieve_mm, _percent(step)), style_of(_verdict(step)))
                 for step in shown
                 if _has_value(step)
             ),
-            *_legend(shown, words, beside, has_second=bool(second)),
+            *FIELD.legend(
+                _legend_entries(shown, words, beside, has_second=bool(second)),
+                FIELD.bottom + 5.2 * LABEL_SIZE,
+                gap=12,
+            ),
         ),
         sieves=[(step.sieve_mm, axes.x(step.sieve_mm)) for step in shown],
     )
@@ -107,14 +106,21 @@ class _Axes:
         self.greatest_mm = max(sizes_mm, default=1.0) * MARGIN
 
     def x(self, size_mm: float) -> float:
-        share = log(size_mm / self.least_mm) / log(self.greatest_mm / self.least_mm)
-        return LEFT + share * (RIGHT - LEFT)
+        return FIELD.x(log(size_mm / self.least_mm) / log(self.greatest_mm / self.least_mm))
 
     def y(self, percent: float) -> float:
-        return BOTTOM - min(max(percent, 0.0), 100.0) / 100 * (BOTTOM - TOP)
+        return FIELD.y(percent / 100)
 
     def point(self, size_mm: float, percent: float) -> Point:
         return self.x(size_mm), self.y(percent)
+
+    def shown(self, passing: Mapping[float, float | None]) -> dict[float, float]:
+        """Return another curve's passing at its sieves that are on the axis, by rising sieve."""
+        return {
+            size_mm: percent
+            for size_mm, percent in sorted(passing.items())
+            if self.least_mm < size_mm < self.greatest_mm and percent is not None and isfinite(percent)
+        }
 
 
 def _has_value(step: CurveStep) -> bool:
@@ -130,22 +136,24 @@ def _verdict(step: CurveStep) -> Verdict | None:
     return None if step.decision is None else step.decision.verdict
 
 
+def style_of(verdict: Verdict | None) -> Style:
+    """Return the style of a verdict's mark, that of a figure without limits for none."""
+    if verdict is None or verdict is Verdict.NOT_MEASURED:
+        return Style.NO_LIMITS
+    return Style(verdict.replace("_", "-"))
+
+
 def _grid(shown: Sequence[CurveStep], axes: _Axes, words: Words) -> Iterator[Shape]:
     for percent in range(0, 101, 10):
-        y = axes.y(percent)
-        yield DrawnLine(((LEFT, y), (RIGHT, y)), Style.GRID)
-        if percent % 20 == 0:
-            yield Label((LEFT - 7, y + LABEL_SIZE / 3), words.number(percent, 0), Anchor.END)
-    for step in shown:
-        x = axes.x(step.sieve_mm)
-        yield DrawnLine(((x, TOP), (x, BOTTOM)), Style.GRID)
+        yield from FIELD.row(axes.y(percent), None if percent % 20 else words.number(percent, 0))
+    for x in (axes.x(step.sieve_mm) for step in shown):
+        yield DrawnLine(((x, FIELD.top), (x, FIELD.bottom)), Style.GRID)
     for x, text in _tick_labels(shown, axes, words):
-        yield Label((x, BOTTOM + LABEL_SIZE + 5), text, Anchor.MIDDLE)
-    yield DrawnLine(((LEFT, TOP), (RIGHT, TOP), (RIGHT, BOTTOM), (LEFT, BOTTOM), (LEFT, TOP)), Style.FRAME)
-    yield Label(((LEFT + RIGHT) / 2, BOTTOM + 2.6 * LABEL_SIZE + 5), words("curve.size_axis"), Anchor.MIDDLE)
-    yield Label(
-        (LABEL_SIZE + 4, (TOP + BOTTOM) / 2), words("curve.passing_axis"), Anchor.MIDDLE, is_turned=True
-    )
+        yield Label((x, FIELD.bottom + LABEL_SIZE + 5), text, Anchor.MIDDLE)
+    yield FIELD.frame()
+    below = FIELD.bottom + 2.6 * LABEL_SIZE + 5
+    yield Label((FIELD.middle[0], below), words("curve.size_axis"), Anchor.MIDDLE)
+    yield Label((LABEL_SIZE + 4, FIELD.middle[1]), words("curve.passing_axis"), Anchor.MIDDLE, is_turned=True)
 
 
 def _tick_labels(shown: Sequence[CurveStep], axes: _Axes, words: Words) -> list[tuple[float, str]]:
@@ -170,23 +178,23 @@ def _limits(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
     for size_mm, limit in limits:
         x, low_y, high_y = axes.x(size_mm), axes.y(limit.min_percent), axes.y(limit.max_percent)
         yield DrawnLine(((x, low_y), (x, high_y)), Style.LIMIT)
-        yield DrawnLine(((x - 6, low_y), (x + 6, low_y)), Style.LIMIT)
-        yield DrawnLine(((x - 6, high_y), (x + 6, high_y)), Style.LIMIT)
+        for y in (low_y, high_y):
+            yield DrawnLine(((x - 6, y), (x + 6, y)), Style.LIMIT)
 
 
 def _unmeasured(shown: Sequence[CurveStep], axes: _Axes, words: Words) -> Iterator[Shape]:
     """Yield a hatched field for each range of sieves without a value, up to the next one with a value."""
     for left, right in unmeasured_ranges(shown, axes.least_mm, axes.greatest_mm):
         x0, x1 = axes.x(left), axes.x(right)
-        yield from _hatching(x0, x1, TOP, BOTTOM)
+        yield from _hatching(x0, x1, FIELD.top, FIELD.bottom)
         text = words("state.not_measured")
-        width, middle = label_width(text) + 8, ((x0 + x1) / 2, (TOP + BOTTOM) / 2)
+        width, x, y = label_width(text) + 8, (x0 + x1) / 2, FIELD.middle[1]
         is_turned = x1 - x0 < width + 8
         if x1 - x0 > 2 * LABEL_SIZE:
             half = (LABEL_SIZE * 0.85, width / 2) if is_turned else (width / 2, LABEL_SIZE * 0.85)
-            yield _box(middle[0] - half[0], middle[1] - half[1], middle[0] + half[0], middle[1] + half[1])
+            yield box(x - half[0], y - half[1], x + half[0], y + half[1], Style.PAPER)
             shift = LABEL_SIZE / 3
-            at = (middle[0] + shift, middle[1]) if is_turned else (middle[0], middle[1] + shift)
+            at = (x + shift, y) if is_turned else (x, y + shift)
             yield Label(at, text, Anchor.MIDDLE, is_turned=is_turned)
 
 
@@ -206,10 +214,6 @@ def unmeasured_ranges(
         yield left_mm, greatest_mm
 
 
-def _box(x0: float, y0: float, x1: float, y1: float) -> Area:
-    return Area(((x0, y0), (x1, y0), (x1, y1), (x0, y1)), Style.PAPER)
-
-
 def _hatching(x0: float, x1: float, top: float, bottom: float) -> Iterator[Shape]:
     """Yield diagonals through a rectangle."""
     width, height = x1 - x0, bottom - top
@@ -225,16 +229,17 @@ def _curve(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
         if not has_value:
             continue
         members = list(group)
-        ends = [
-            (step.sieve_mm, step.passing_percent.low, step.passing_percent.high)
-            for step in members
-            if step.passing_percent.low is not None and step.passing_percent.high is not None
-        ]
-        if len(ends) > 1:
-            low = [axes.point(size_mm, percent) for size_mm, percent, _ in ends if percent is not None]
-            high = [axes.point(size_mm, percent) for size_mm, _, percent in ends if percent is not None]
-            yield Area((*high, *reversed(low)), Style.BAND)
+        figures = [(step.sieve_mm, step.passing_percent) for step in members]
+        yield from _band([each for each in figures if each[1].low is not None], axes, Style.BAND)
         yield DrawnLine([axes.point(step.sieve_mm, _percent(step)) for step in members], Style.CURVE)
+
+
+def _band(figures: Sequence[tuple[float, Estimate]], axes: _Axes, style: Style) -> Iterator[Shape]:
+    """Yield the band of the intervals of neighbouring figures, each with its sieve."""
+    if len(figures) > 1:
+        low = [axes.point(size_mm, figure.low or 0.0) for size_mm, figure in figures]
+        high = [axes.point(size_mm, figure.high or 0.0) for size_mm, figure in figures]
+        yield Area((*high, *reversed(low)), style)
 
 
 def _second_curve(second: Mapping[float, float], axes: _Axes, style: Style) -> Iterator[Shape]:
@@ -246,28 +251,11 @@ def _second_curve(second: Mapping[float, float], axes: _Axes, style: Style) -> I
 
 
 def _square(x: float, y: float, style: Style) -> Area:
-    return Area(((x - 3, y - 3), (x + 3, y - 3), (x + 3, y + 3), (x - 3, y + 3)), style)
+    return box(x - 3, y - 3, x + 3, y + 3, style)
 
 
-def _on_axes(beside: Beside, axes: _Axes) -> list[tuple[float, Estimate]]:
-    """Return the figures of the other stones that have a value, at the sieves that are shown."""
-    return [
-        (size_mm, figure)
-        for size_mm, figure in sorted(beside.passing_percent.items())
-        if axes.least_mm < size_mm < axes.greatest_mm and figure.value is not None and isfinite(figure.value)
-    ]
-
-
-def _beside_band(others: Sequence[tuple[float, Estimate]], axes: _Axes) -> Iterator[Shape]:
-    if len(others) > 1:
-        low = [axes.point(size_mm, figure.low or 0.0) for size_mm, figure in others]
-        high = [axes.point(size_mm, figure.high or 0.0) for size_mm, figure in others]
-        yield Area((*high, *reversed(low)), Style.BESIDE_BAND)
-
-
-def marker(at: Point, verdict: Verdict | None) -> Shape:
+def marker(at: Point, style: Style) -> Shape:
     """Return the mark of a verdict, distinct by shape as well as by colour."""
-    style = Style.NO_LIMITS if verdict is None else VERDICT_STYLES[verdict]
     (x, y), r = at, MARKER_RADIUS
     if style is Style.DOES_NOT_CONFORM:
         return Area(((x, y - 1.4 * r), (x + 1.4 * r, y), (x, y + 1.4 * r), (x - 1.4 * r, y)), style)
@@ -276,65 +264,50 @@ def marker(at: Point, verdict: Verdict | None) -> Shape:
     return Dot(at, 0.75 * r if style is Style.NO_LIMITS else r, style)
 
 
-def _legend(
-    shown: Sequence[CurveStep], words: Words, beside: Beside | None, *, has_second: bool
-) -> Iterator[Shape]:
-    """Yield the legend of the curve, each entry with its sign, in as many lines as it takes."""
-    x, y = LEFT, BOTTOM + 5.2 * LABEL_SIZE
-    for signs, text in _legend_entries(shown, words, beside, has_second=has_second):
-        width = 30 + label_width(text) + 12
-        if x + width > RIGHT + 12 and x > LEFT:
-            x, y = LEFT, y + 1.55 * LABEL_SIZE
-        yield from signs(x, y)
-        yield Label((x + 30, y + LABEL_SIZE / 3), text)
-        x += width
+def _sign(style: Style) -> Sign:
+    """Return the sign of a style in the legend."""
 
-
-class _Sign:
-    """The sign of an entry of the legend, drawn where the entry is."""
-
-    def __init__(self, kind: Style, verdict: Verdict | None = None) -> None:
-        self.kind, self.verdict = kind, verdict
-
-    def __call__(self, x: float, y: float) -> Iterable[Shape]:
-        corners = ((x, y - 5), (x + 24, y - 5), (x + 24, y + 5), (x, y + 5))
-        match self.kind:
-            case Style.BAND | Style.ENVELOPE:
-                yield Area(corners, self.kind)
-                if self.kind is Style.BAND:
-                    yield DrawnLine(((x, y), (x + 24, y)), Style.CURVE)
+    def sign(x: float, y: float) -> Iterator[Shape]:
+        area, line = partial(box, x, y - 5, x + 24, y + 5), ((x, y), (x + 24, y))
+        match style:
+            case Style.BAND:
+                yield area(style)
+                yield DrawnLine(line, Style.CURVE)
+            case Style.ENVELOPE:
+                yield area(style)
             case Style.HATCH:
                 yield from _hatching(x, x + 24, y - 5, y + 5)
             case Style.LABORATORY | Style.BESIDE:
-                if self.kind is Style.BESIDE:
-                    yield Area(corners, Style.BESIDE_BAND)
-                yield DrawnLine(((x, y), (x + 24, y)), self.kind)
-                yield _square(x + 12, y, self.kind)
+                if style is Style.BESIDE:
+                    yield area(Style.BESIDE_BAND)
+                yield DrawnLine(line, style)
+                yield _square(x + 12, y, style)
             case _:
-                yield marker((x + 12, y), self.verdict)
+                yield marker((x + 12, y), style)
+
+    return sign
 
 
 def _legend_entries(
     shown: Sequence[CurveStep], words: Words, beside: Beside | None, *, has_second: bool
-) -> Iterator[tuple[_Sign, str]]:
-    has_values = any(map(_has_value, shown))
-    if has_values:
+) -> Iterator[tuple[Sign, str]]:
+    if any(map(_has_value, shown)):
         band = words("curve.band")
-        yield _Sign(Style.BAND), band if beside is None else f"{beside.first_name}: {band}"
+        yield _sign(Style.BAND), band if beside is None else f"{beside.first_name}: {band}"
     if beside is not None:
-        yield _Sign(Style.BESIDE), beside.name
+        yield _sign(Style.BESIDE), beside.name
     if any(step.decision is not None for step in shown):
-        yield _Sign(Style.ENVELOPE), words("curve.envelope")
+        yield _sign(Style.ENVELOPE), words("curve.envelope")
     if has_second:
-        yield _Sign(Style.LABORATORY), words("curve.laboratory")
+        yield _sign(Style.LABORATORY), words("curve.laboratory")
     if not all(map(_has_value, shown)):
-        yield _Sign(Style.HATCH), words("state.not_measured")
+        yield _sign(Style.HATCH), words("state.not_measured")
     found = {_verdict(step) for step in shown if _has_value(step)}
     for verdict in Verdict:
         if verdict in found and verdict is not Verdict.NOT_MEASURED:
-            yield _Sign(VERDICT_STYLES[verdict], verdict), words.known("verdict", verdict)
+            yield _sign(style_of(verdict)), words.known("verdict", verdict)
     if found & {None, Verdict.NOT_MEASURED}:
-        yield _Sign(Style.NO_LIMITS), words("curve.no_limits")
+        yield _sign(Style.NO_LIMITS), words("curve.no_limits")
 
 
 def _description(shown: Sequence[CurveStep], words: Words) -> str:

@@ -1,14 +1,14 @@
 """A figure over the last hours as a drawing: its line and interval, the diary's marks, the lots beneath."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from datetime import datetime, timedelta, tzinfo
 from enum import StrEnum
 from itertools import groupby
 from math import floor, log10
 
-from pipeline.gradation.estimates import Estimate, State
+from pipeline.gradation.estimates import NOT_MEASURED, Estimate, State
 from service.base.language import Language
+from service.lots.trends.changes import ChangedFigure
 from service.lots.trends.diary import DiaryEntry
 from service.lots.trends.trend import Trend, TrendBucket
 from service.reports.drawing import (
@@ -18,19 +18,23 @@ from service.reports.drawing import (
     Dot,
     Drawing,
     DrawnLine,
+    Field,
     Label,
     Point,
     Shape,
+    Sign,
     Style,
+    box,
     label_width,
 )
 from service.reports.svg import svg
 from service.reports.words import Words, words
 
 WIDTH, HEIGHT = 720.0, 268.0
-LEFT, RIGHT, TOP, BOTTOM = 58.0, 706.0, 26.0, 190.0
-LOTS_TOP, LOTS_BOTTOM = BOTTOM + 24, BOTTOM + 40
+FIELD = Field(top=26.0, bottom=190.0)
+LOTS_TOP, LOTS_BOTTOM = FIELD.bottom + 24, FIELD.bottom + 40
 MAX_TICKS = 8
+DOT_RADIUS = 2.6
 MARGIN = 0.08
 """Part of the range of values that is left free above and below."""
 LEAST_SPAN = 0.02
@@ -54,15 +58,8 @@ class TrendFigure(StrEnum):
     SHAPE = "shape"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Value:
-    """The value of a bucket at its middle; None where nothing was measured."""
-
-    at: datetime
-    value: float | None
-    low: float | None = None
-    high: float | None = None
-    is_few: bool = False
+Values = Sequence[tuple[datetime, Estimate]]
+"""The figure of each bucket, at its middle."""
 
 
 def trend_svg(trend: Trend, figure: TrendFigure, language: Language, zone: tzinfo | None = None) -> str:
@@ -85,7 +82,7 @@ def trend_drawing(trend: Trend, figure: TrendFigure, say: Words, zone: tzinfo | 
             *_lots(trend, axes),
             *_line(values, axes, say),
             *_marks(trend, axes, say),
-            *_legend(trend, values, say),
+            *FIELD.legend(_legend_entries(trend, values, say), LOTS_BOTTOM + 1.6 * LABEL_SIZE, gap=14),
         ),
     )
 
@@ -93,13 +90,13 @@ def trend_drawing(trend: Trend, figure: TrendFigure, say: Words, zone: tzinfo | 
 class _Axes:
     """Places of times and values on the paper."""
 
-    def __init__(self, trend: Trend, values: Sequence[_Value], *, starts_at_zero: bool) -> None:
+    def __init__(self, trend: Trend, values: Values, *, starts_at_zero: bool) -> None:
         self.since, self.until = (datetime.fromisoformat(each) for each in (trend.since, trend.until))
-        judged = [each for each in values if not each.is_few] or values
+        is_judged = any(each.state is not State.INSUFFICIENT for _, each in values)
         ends = [
             end
-            for each in values
-            for end in ((each.value, each.low, each.high) if each in judged else (each.value,))
+            for _, each in values
+            for end in (each.value, *(() if is_judged and _is_few(each) else (each.low, each.high)))
             if end is not None
         ]
         low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
@@ -114,11 +111,10 @@ class _Axes:
 
     def x(self, at: datetime) -> float:
         share = (at - self.since) / ((self.until - self.since) or timedelta(seconds=1))
-        return LEFT + min(max(share, 0.0), 1.0) * (RIGHT - LEFT)
+        return FIELD.x(min(max(share, 0.0), 1.0))
 
     def y(self, value: float) -> float:
-        share = (value - self.least) / (self.greatest - self.least)
-        return BOTTOM - min(max(share, 0.0), 1.0) * (BOTTOM - TOP)
+        return FIELD.y((value - self.least) / (self.greatest - self.least))
 
     def point(self, at: datetime, value: float) -> Point:
         return self.x(at), self.y(value)
@@ -147,80 +143,70 @@ def _nice_step(least: float) -> float:
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least * 0.999)
 
 
-def _value(bucket: TrendBucket, figure: TrendFigure, bucket_s: float) -> _Value:
+def _value(bucket: TrendBucket, figure: TrendFigure, bucket_s: float) -> tuple[datetime, Estimate]:
     since, until = datetime.fromisoformat(bucket.since), datetime.fromisoformat(bucket.until)
-    middle = since + (until - since) / 2
-    if figure is TrendFigure.RATE:
+    found: Estimate | float = getattr(bucket, ChangedFigure[figure.name])
+    if not isinstance(found, Estimate):
         is_short = (until - since).total_seconds() < LEAST_PART * bucket_s
-        return _Value(at=middle, value=None if is_short else bucket.stones_per_min)
-    found = _figure(bucket, figure)
-    return _Value(
-        at=middle,
-        value=found.value,
-        low=found.low,
-        high=found.high,
-        is_few=found.state is State.INSUFFICIENT,
-    )
+        found = NOT_MEASURED if is_short else Estimate(state=State.MEASURED, value=found)
+    return since + (until - since) / 2, found
 
 
-def _figure(bucket: TrendBucket, figure: TrendFigure) -> Estimate:
-    if figure is TrendFigure.D50:
-        return bucket.d50_mm
-    return bucket.flakiness_percent if figure is TrendFigure.FLAKINESS else bucket.shape_percent
+def _is_few(figure: Estimate) -> bool:
+    return figure.state is State.INSUFFICIENT
 
 
 def _grid(axes: _Axes, title: str, say: Words, zone: tzinfo | None) -> Iterator[Shape]:
     for level in axes.levels():
-        y = axes.y(level)
-        yield DrawnLine(((LEFT, y), (RIGHT, y)), Style.GRID)
-        yield Label((LEFT - 7, y + LABEL_SIZE / 3), say.number(level, axes.decimals), Anchor.END)
+        yield from FIELD.row(axes.y(level), say.number(level, axes.decimals))
     for at in axes.ticks(zone):
         x = axes.x(at)
-        yield DrawnLine(((x, TOP), (x, BOTTOM)), Style.GRID)
+        yield DrawnLine(((x, FIELD.top), (x, FIELD.bottom)), Style.GRID)
         text = at.strftime(say("trend.day" if (at.hour, at.minute) == (0, 0) else "trend.clock"))
         middle = min(x, WIDTH - 2 - label_width(text) / 2)
-        yield Label((middle, BOTTOM + LABEL_SIZE + 4), text, Anchor.MIDDLE)
-    yield DrawnLine(((LEFT, TOP), (RIGHT, TOP), (RIGHT, BOTTOM), (LEFT, BOTTOM), (LEFT, TOP)), Style.FRAME)
-    yield Label((LABEL_SIZE + 2, (TOP + BOTTOM) / 2), title, Anchor.MIDDLE, is_turned=True)
+        yield Label((middle, FIELD.bottom + LABEL_SIZE + 4), text, Anchor.MIDDLE)
+    yield FIELD.frame()
+    yield Label((LABEL_SIZE + 2, FIELD.middle[1]), title, Anchor.MIDDLE, is_turned=True)
 
 
-def _line(values: Sequence[_Value], axes: _Axes, say: Words) -> Iterator[Shape]:
-    if all(each.value is None for each in values):
-        yield Label(((LEFT + RIGHT) / 2, (TOP + BOTTOM) / 2), say("trend.nothing"), Anchor.MIDDLE)
-    for has_value, group in groupby(values, lambda each: each.value is not None):
+def _line(values: Values, axes: _Axes, say: Words) -> Iterator[Shape]:
+    if all(each.value is None for _, each in values):
+        yield Label(FIELD.middle, say("trend.nothing"), Anchor.MIDDLE)
+    for has_value, group in groupby(values, lambda each: each[1].value is not None):
         if not has_value:
             continue
         members = list(group)
-        for is_judged, judged in groupby(members, lambda each: not each.is_few and each.low is not None):
+        for is_judged, judged in groupby(
+            members, lambda each: not _is_few(each[1]) and each[1].low is not None
+        ):
             if is_judged:
-                yield from _band(list(judged), axes)
-        yield DrawnLine([axes.point(each.at, each.value or 0.0) for each in members], Style.CURVE)
-        for each in members:
-            style = Style.INSUFFICIENT if each.is_few else Style.NO_LIMITS
-            yield Dot(axes.point(each.at, each.value or 0.0), 2.6, style)
+                yield _band(list(judged), axes)
+        points = [axes.point(at, each.value or 0.0) for at, each in members]
+        yield DrawnLine(points, Style.CURVE)
+        for point, (_, each) in zip(points, members, strict=True):
+            yield Dot(point, DOT_RADIUS, Style.INSUFFICIENT if _is_few(each) else Style.NO_LIMITS)
 
 
-def _band(judged: Sequence[_Value], axes: _Axes) -> Iterator[Shape]:
-    low = [axes.point(each.at, each.low or 0.0) for each in judged]
-    high = [axes.point(each.at, each.high or 0.0) for each in judged]
+def _band(judged: Values, axes: _Axes) -> Shape:
+    low = [axes.point(at, each.low or 0.0) for at, each in judged]
+    high = [axes.point(at, each.high or 0.0) for at, each in judged]
     if len(judged) > 1:
-        yield Area((*high, *reversed(low)), Style.BAND)
-    else:
-        yield DrawnLine((*low, *high), Style.CURVE)
+        return Area((*high, *reversed(low)), Style.BAND)
+    return DrawnLine((*low, *high), Style.CURVE)
 
 
 def _marks(trend: Trend, axes: _Axes, say: Words) -> Iterator[Shape]:
     """Yield a line for each entry of the diary, with its word where there is room."""
-    right = LEFT - 4.0
+    right = FIELD.left - 4.0
     for entry in trend.diary:
         x = axes.x(datetime.fromisoformat(entry.at))
-        yield DrawnLine(((x, TOP - 6), (x, BOTTOM)), Style.MARK)
-        yield _mark(x, TOP - 6)
+        yield DrawnLine(((x, FIELD.top - 6), (x, FIELD.bottom)), Style.MARK)
+        yield _mark(x, FIELD.top - 6)
         text = entry_name(entry, say)
         width = label_width(text)
-        place = min(max(x - width / 2, right + 4), RIGHT - width)
+        place = min(max(x - width / 2, right + 4), FIELD.right - width)
         if place >= right + 4 and abs(place + width / 2 - x) <= width / 2 + 8:
-            yield Label((place, TOP - 14), text)
+            yield Label((place, FIELD.top - 14), text)
             right = place + width
 
 
@@ -241,63 +227,48 @@ def _lots(trend: Trend, axes: _Axes) -> Iterator[Shape]:
     for lot in trend.lots:
         left = axes.x(datetime.fromisoformat(lot.opened_at))
         right = axes.x(datetime.fromisoformat(lot.closed_at or trend.until))
-        corners = ((left, LOTS_TOP), (right, LOTS_TOP), (right, LOTS_BOTTOM), (left, LOTS_BOTTOM))
-        yield Area(corners, Style.LOT)
+        yield box(left, LOTS_TOP, right, LOTS_BOTTOM, Style.LOT)
         if label_width(lot.lot) + 6 < right - left:
             yield Label(((left + right) / 2, LOTS_BOTTOM - 4), lot.lot, Anchor.MIDDLE)
 
 
-def _legend(trend: Trend, values: Sequence[_Value], say: Words) -> Iterator[Shape]:
-    x, y = LEFT, LOTS_BOTTOM + 1.6 * LABEL_SIZE
+def _legend_entries(trend: Trend, values: Values, say: Words) -> Iterator[tuple[Sign, str]]:
+    def value(x: float, y: float) -> Iterator[Shape]:
+        if has_band:
+            yield box(x, y - 5, x + 24, y + 5, Style.BAND)
+        yield DrawnLine(((x, y), (x + 24, y)), Style.CURVE)
+        yield Dot((x + 12, y), DOT_RADIUS, Style.NO_LIMITS)
 
-    def entry(*signs: Shape, text: str) -> Iterator[Shape]:
-        nonlocal x
-        yield from signs
-        yield Label((x + 30, y + LABEL_SIZE / 3), text)
-        x += 30 + label_width(text) + 14
-
-    corners = ((x, y - 5), (x + 24, y - 5), (x + 24, y + 5), (x, y + 5))
-    line = DrawnLine(((x, y), (x + 24, y)), Style.CURVE)
-    dot = Dot((x + 12, y), 2.6, Style.NO_LIMITS)
-    if any(each.low is not None for each in values):
-        yield from entry(
-            Area(corners, Style.BAND), line, dot, text=f"{say('trend.value')} {say('trend.band')}"
-        )
-    elif any(each.value is not None for each in values):
-        yield from entry(line, dot, text=say("trend.value"))
-    if any(each.is_few for each in values):
-        yield from entry(Dot((x + 12, y), 2.6, Style.INSUFFICIENT), text=say("trend.few"))
+    has_band = any(each.low is not None for _, each in values)
+    if has_band:
+        yield value, f"{say('trend.value')} {say('trend.band')}"
+    elif any(each.value is not None for _, each in values):
+        yield value, say("trend.value")
+    if any(_is_few(each) for _, each in values):
+        yield lambda x, y: [Dot((x + 12, y), DOT_RADIUS, Style.INSUFFICIENT)], say("trend.few")
     if trend.diary:
-        yield from entry(_mark(x + 12, y + 2), text=say("trend.diary"))
+        yield lambda x, y: [_mark(x + 12, y + 2)], say("trend.diary")
     if trend.lots:
-        box = ((x, y - 5), (x + 24, y - 5), (x + 24, y + 5), (x, y + 5))
-        yield from entry(Area(box, Style.LOT), text=say("trend.lots"))
+        yield lambda x, y: [box(x, y - 5, x + 24, y + 5, Style.LOT)], say("trend.lots")
 
 
 def _description(
-    title: str, trend: Trend, values: Sequence[_Value], say: Words, zone: tzinfo | None, decimals: int
+    title: str, trend: Trend, values: Values, say: Words, zone: tzinfo | None, decimals: int
 ) -> str:
     """Return the trend in words, for those who do not see it."""
 
     def clock(at: str) -> str:
         return datetime.fromisoformat(at).astimezone(zone).strftime(say("trend.moment"))
 
-    found = [each.value for each in values if each.value is not None]
+    found = [each.value for _, each in values if each.value is not None]
     first, last, least, greatest = (
         [say.number(each, decimals + 1) for each in (found[0], found[-1], min(found), max(found))]
         if found
         else [say("trend.nothing")] * 4
     )
-    whole = say(
-        "trend.described",
-        title=title,
-        since=clock(trend.since),
-        until=clock(trend.until),
-        first=first,
-        last=last,
-        least=least,
-        greatest=greatest,
-    )
+    since, until = clock(trend.since), clock(trend.until)
+    ends = {"first": first, "last": last, "least": least, "greatest": greatest}
+    whole = say("trend.described", title=title, since=since, until=until, **ends)
     return whole + "".join(
         say("trend.described_entry", at=clock(entry.at), entry=entry_name(entry, say))
         for entry in trend.diary

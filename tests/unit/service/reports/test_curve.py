@@ -12,7 +12,7 @@ from support.lot_figures import NOT_MEASURED, curve, decision, measured, step
 from pipeline.gradation.specification import Verdict
 from service.base.language import Language
 from service.lots.figures import CurveStep
-from service.reports.curve import BOTTOM, LEFT, RIGHT, TOP, gradation_curve, shown_steps, unmeasured_ranges
+from service.reports.curve import FIELD, gradation_curve, shown_steps, unmeasured_ranges
 from service.reports.drawing import Dot, DrawnLine, Style
 from service.reports.svg import curve_svg, svg
 from service.reports.words import words
@@ -29,7 +29,9 @@ def points_of(steps: list[CurveStep], style: Style = Style.CURVE) -> list[tuple[
     """Return the points of all lines of a style."""
     drawing = gradation_curve(steps, ENGLISH)
     lines = [shape for shape in drawing.shapes if isinstance(shape, DrawnLine) and shape.style is style]
-    return [point for line in lines for point in line.points if point[1] <= BOTTOM]  # below is the legend
+    return [
+        point for line in lines for point in line.points if point[1] <= FIELD.bottom
+    ]  # below is the legend
 
 
 def test_it_is_well_formed_says_what_it_shows_and_is_the_same_every_time() -> None:
@@ -65,7 +67,7 @@ def test_sizes_are_on_a_logarithmic_axis_and_percents_on_a_linear_one() -> None:
         [step(4, measured(0)), step(8, measured(50)), step(16, measured(100))]
     )
     assert x8 - x4 == pytest.approx(x16 - x8)
-    assert (y0, y50, y100) == pytest.approx((BOTTOM, (BOTTOM + TOP) / 2, TOP))
+    assert (y0, y50, y100) == pytest.approx((FIELD.bottom, FIELD.middle[1], FIELD.top))
 
 
 def test_a_page_knows_where_on_the_drawing_each_sieve_is() -> None:
@@ -88,7 +90,7 @@ def test_a_rising_curve_rises_and_stays_on_the_paper(sizes_mm: list[float], perc
     points = points_of(steps)
     assert len(points) == len(steps)
     assert all(a[0] <= b[0] and a[1] >= b[1] for a, b in pairwise(points))
-    assert all(LEFT <= x <= RIGHT and TOP <= y <= BOTTOM for x, y in points)
+    assert all(FIELD.left <= x <= FIELD.right and FIELD.top <= y <= FIELD.bottom for x, y in points)
     parsed(curve_svg(steps))
 
 
