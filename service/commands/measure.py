@@ -42,7 +42,7 @@ from service.lots.stored_stones import stones_in
 from service.lots.yardsticks import Request
 from service.processing.measure_job import RigFile, WorkerContext
 from service.processing.segmenters import SegmenterPlan
-from service.reports.svg import curve_svg
+from service.reports.curve import curve_svg
 from service.results.fields import Outcome
 
 GRADATION, CURVE = "gradation.json", "gradation.svg"

@@ -8,26 +8,27 @@ from math import isfinite, log
 
 from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.specification import Verdict
+from service.base.language import Language
 from service.lots.figures import CurveStep
 from service.reports.drawing import (
     LABEL_SIZE,
     Anchor,
-    Area,
-    Dot,
     Drawing,
-    DrawnLine,
     Field,
-    Label,
     Point,
     Shape,
     Sign,
     Style,
+    area,
     box,
+    dot,
+    label,
     label_width,
+    line,
+    svg,
 )
-from service.reports.words import Words
+from service.reports.words import Words, words
 
-WIDTH, HEIGHT = 720.0, 402.0
 FIELD = Field(top=14.0, bottom=314.0)
 MARGIN = 1.12
 """The axis ends beyond the first and the last sieve by this factor."""
@@ -44,9 +45,20 @@ class Beside:
     passing_percent: Mapping[float, Estimate]  # by sieve, mm
 
 
+def curve_svg(
+    steps: Sequence[CurveStep],
+    *,
+    language: Language = Language.ENGLISH,
+    laboratory: Mapping[float, float] | None = None,
+    beside: Beside | None = None,
+) -> str:
+    """Return the gradation curve as SVG, as an element of a page and as a file of its own alike."""
+    return svg(gradation_curve(steps, words(language), laboratory, beside), language)
+
+
 def gradation_curve(
     steps: Sequence[CurveStep],
-    words: Words,
+    say: Words,
     laboratory: Mapping[float, float] | None = None,
     beside: Beside | None = None,
 ) -> Drawing:
@@ -58,14 +70,13 @@ def gradation_curve(
     others = axes.shown({size_mm: figure.value for size_mm, figure in passing.items()})
     figures = [(size_mm, passing[size_mm]) for size_mm in others]
     return Drawing(
-        width=WIDTH,
-        height=HEIGHT,
-        title=words("curve.title"),
-        description=_description(shown, words) + _description_beside(figures, beside, words),
+        height=402.0,
+        title=say("curve.title"),
+        description=_description(shown, say) + _description_beside(figures, beside, say),
         shapes=(
-            *_grid(shown, axes, words),
+            *_grid(shown, axes, say),
             *_limits(shown, axes),
-            *_unmeasured(shown, axes, words),
+            *_unmeasured(shown, axes, say),
             *_band(figures, axes, Style.BESIDE_BAND),
             *_curve(shown, axes),
             *_second_curve(second, axes, Style.LABORATORY),
@@ -76,7 +87,7 @@ def gradation_curve(
                 if _has_value(step)
             ),
             *FIELD.legend(
-                _legend_entries(shown, words, beside, has_second=bool(second)),
+                _legend_entries(shown, say, beside, has_second=bool(second)),
                 FIELD.bottom + 5.2 * LABEL_SIZE,
                 gap=12,
             ),
@@ -91,10 +102,8 @@ def shown_steps(steps: Sequence[CurveStep]) -> list[CurveStep]:
     telling = [i for i, step in enumerate(ordered) if _has_value(step) or step.decision is not None]
     if not telling:
         return ordered
-    first, last = (
-        telling[0] - _has_value(ordered[telling[0]]),
-        telling[-1] + _has_value(ordered[telling[-1]]),
-    )
+    first = telling[0] - _has_value(ordered[telling[0]])
+    last = telling[-1] + _has_value(ordered[telling[-1]])
     return ordered[max(first, 0) : last + 1]
 
 
@@ -143,24 +152,24 @@ def style_of(verdict: Verdict | None) -> Style:
     return Style(verdict.replace("_", "-"))
 
 
-def _grid(shown: Sequence[CurveStep], axes: _Axes, words: Words) -> Iterator[Shape]:
+def _grid(shown: Sequence[CurveStep], axes: _Axes, say: Words) -> Iterator[Shape]:
     for percent in range(0, 101, 10):
-        yield from FIELD.row(axes.y(percent), None if percent % 20 else words.number(percent, 0))
+        yield from FIELD.row(axes.y(percent), None if percent % 20 else say.number(percent, 0))
     for x in (axes.x(step.sieve_mm) for step in shown):
-        yield DrawnLine(((x, FIELD.top), (x, FIELD.bottom)), Style.GRID)
-    for x, text in _tick_labels(shown, axes, words):
-        yield Label((x, FIELD.bottom + LABEL_SIZE + 5), text, Anchor.MIDDLE)
+        yield line(((x, FIELD.top), (x, FIELD.bottom)), Style.GRID)
+    for x, text in _tick_labels(shown, axes, say):
+        yield label((x, FIELD.bottom + LABEL_SIZE + 5), text, Anchor.MIDDLE)
     yield FIELD.frame()
     below = FIELD.bottom + 2.6 * LABEL_SIZE + 5
-    yield Label((FIELD.middle[0], below), words("curve.size_axis"), Anchor.MIDDLE)
-    yield Label((LABEL_SIZE + 4, FIELD.middle[1]), words("curve.passing_axis"), Anchor.MIDDLE, is_turned=True)
+    yield label((FIELD.middle[0], below), say("curve.size_axis"), Anchor.MIDDLE)
+    yield label((LABEL_SIZE + 4, FIELD.middle[1]), say("curve.passing_axis"), Anchor.MIDDLE, is_turned=True)
 
 
-def _tick_labels(shown: Sequence[CurveStep], axes: _Axes, words: Words) -> list[tuple[float, str]]:
+def _tick_labels(shown: Sequence[CurveStep], axes: _Axes, say: Words) -> list[tuple[float, str]]:
     """Return the labels that have room: of the sieves with limits first."""
     placed: list[tuple[float, str]] = []
     for step in sorted(shown, key=lambda step: (step.decision is None, -step.sieve_mm)):
-        x, text = axes.x(step.sieve_mm), words.size(step.sieve_mm)
+        x, text = axes.x(step.sieve_mm), say.size(step.sieve_mm)
         if all(
             abs(x - other_x) > (label_width(text) + label_width(other)) / 2 + 4 for other_x, other in placed
         ):
@@ -174,20 +183,20 @@ def _limits(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
     if len(limits) > 1:
         lower = [axes.point(size_mm, limit.min_percent) for size_mm, limit in limits]
         upper = [axes.point(size_mm, limit.max_percent) for size_mm, limit in limits]
-        yield Area((*upper, *reversed(lower)), Style.ENVELOPE)
+        yield area((*upper, *reversed(lower)), Style.ENVELOPE)
     for size_mm, limit in limits:
         x, low_y, high_y = axes.x(size_mm), axes.y(limit.min_percent), axes.y(limit.max_percent)
-        yield DrawnLine(((x, low_y), (x, high_y)), Style.LIMIT)
+        yield line(((x, low_y), (x, high_y)), Style.LIMIT)
         for y in (low_y, high_y):
-            yield DrawnLine(((x - 6, y), (x + 6, y)), Style.LIMIT)
+            yield line(((x - 6, y), (x + 6, y)), Style.LIMIT)
 
 
-def _unmeasured(shown: Sequence[CurveStep], axes: _Axes, words: Words) -> Iterator[Shape]:
+def _unmeasured(shown: Sequence[CurveStep], axes: _Axes, say: Words) -> Iterator[Shape]:
     """Yield a hatched field for each range of sieves without a value, up to the next one with a value."""
     for left, right in unmeasured_ranges(shown, axes.least_mm, axes.greatest_mm):
         x0, x1 = axes.x(left), axes.x(right)
         yield from _hatching(x0, x1, FIELD.top, FIELD.bottom)
-        text = words("state.not_measured")
+        text = say("state.not_measured")
         width, x, y = label_width(text) + 8, (x0 + x1) / 2, FIELD.middle[1]
         is_turned = x1 - x0 < width + 8
         if x1 - x0 > 2 * LABEL_SIZE:
@@ -195,7 +204,7 @@ def _unmeasured(shown: Sequence[CurveStep], axes: _Axes, words: Words) -> Iterat
             yield box(x - half[0], y - half[1], x + half[0], y + half[1], Style.PAPER)
             shift = LABEL_SIZE / 3
             at = (x + shift, y) if is_turned else (x, y + shift)
-            yield Label(at, text, Anchor.MIDDLE, is_turned=is_turned)
+            yield label(at, text, Anchor.MIDDLE, is_turned=is_turned)
 
 
 def unmeasured_ranges(
@@ -221,7 +230,7 @@ def _hatching(x0: float, x1: float, top: float, bottom: float) -> Iterator[Shape
         reach = i * HATCH_DISTANCE
         right = (x0 + min(reach, width), bottom - max(0.0, reach - width))
         left = (x0 + max(0.0, reach - height), bottom - min(reach, height))
-        yield DrawnLine((left, right), Style.HATCH)
+        yield line((left, right), Style.HATCH)
 
 
 def _curve(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
@@ -231,7 +240,7 @@ def _curve(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
         members = list(group)
         figures = [(step.sieve_mm, step.passing_percent) for step in members]
         yield from _band([each for each in figures if each[1].low is not None], axes, Style.BAND)
-        yield DrawnLine([axes.point(step.sieve_mm, _percent(step)) for step in members], Style.CURVE)
+        yield line([axes.point(step.sieve_mm, _percent(step)) for step in members], Style.CURVE)
 
 
 def _band(figures: Sequence[tuple[float, Estimate]], axes: _Axes, style: Style) -> Iterator[Shape]:
@@ -239,18 +248,18 @@ def _band(figures: Sequence[tuple[float, Estimate]], axes: _Axes, style: Style) 
     if len(figures) > 1:
         low = [axes.point(size_mm, figure.low or 0.0) for size_mm, figure in figures]
         high = [axes.point(size_mm, figure.high or 0.0) for size_mm, figure in figures]
-        yield Area((*high, *reversed(low)), style)
+        yield area((*high, *reversed(low)), style)
 
 
 def _second_curve(second: Mapping[float, float], axes: _Axes, style: Style) -> Iterator[Shape]:
     points = [axes.point(size_mm, percent) for size_mm, percent in second.items()]
     if points:
-        yield DrawnLine(points, style)
+        yield line(points, style)
     for x, y in points:
         yield _square(x, y, style)
 
 
-def _square(x: float, y: float, style: Style) -> Area:
+def _square(x: float, y: float, style: Style) -> Shape:
     return box(x - 3, y - 3, x + 3, y + 3, style)
 
 
@@ -258,29 +267,31 @@ def marker(at: Point, style: Style) -> Shape:
     """Return the mark of a verdict, distinct by shape as well as by colour."""
     (x, y), r = at, MARKER_RADIUS
     if style is Style.DOES_NOT_CONFORM:
-        return Area(((x, y - 1.4 * r), (x + 1.4 * r, y), (x, y + 1.4 * r), (x - 1.4 * r, y)), style)
+        return area(((x, y - 1.4 * r), (x + 1.4 * r, y), (x, y + 1.4 * r), (x - 1.4 * r, y)), style)
     if style is Style.UNDECIDED:
-        return Area(((x, y - 1.4 * r), (x + 1.3 * r, y + r), (x - 1.3 * r, y + r)), style)
-    return Dot(at, 0.75 * r if style is Style.NO_LIMITS else r, style)
+        return area(((x, y - 1.4 * r), (x + 1.3 * r, y + r), (x - 1.3 * r, y + r)), style)
+    return dot(at, 0.75 * r if style is Style.NO_LIMITS else r, style)
 
 
 def _sign(style: Style) -> Sign:
     """Return the sign of a style in the legend."""
 
     def sign(x: float, y: float) -> Iterator[Shape]:
-        area, line = partial(box, x, y - 5, x + 24, y + 5), ((x, y), (x + 24, y))
+        filled, ends = partial(box, x, y - 5, x + 24, y + 5), ((x, y), (x + 24, y))
         match style:
             case Style.BAND:
-                yield area(style)
-                yield DrawnLine(line, Style.CURVE)
+                yield filled(style)
+                yield line(ends, Style.CURVE)
             case Style.ENVELOPE:
-                yield area(style)
+                yield filled(style)
             case Style.HATCH:
                 yield from _hatching(x, x + 24, y - 5, y + 5)
-            case Style.LABORATORY | Style.BESIDE:
-                if style is Style.BESIDE:
-                    yield area(Style.BESIDE_BAND)
-                yield DrawnLine(line, style)
+            case Style.LABORATORY:
+                yield line(ends, style)
+                yield _square(x + 12, y, style)
+            case Style.BESIDE:
+                yield filled(Style.BESIDE_BAND)
+                yield line(ends, style)
                 yield _square(x + 12, y, style)
             case _:
                 yield marker((x + 12, y), style)
@@ -289,49 +300,47 @@ def _sign(style: Style) -> Sign:
 
 
 def _legend_entries(
-    shown: Sequence[CurveStep], words: Words, beside: Beside | None, *, has_second: bool
+    shown: Sequence[CurveStep], say: Words, beside: Beside | None, *, has_second: bool
 ) -> Iterator[tuple[Sign, str]]:
     if any(map(_has_value, shown)):
-        band = words("curve.band")
+        band = say("curve.band")
         yield _sign(Style.BAND), band if beside is None else f"{beside.first_name}: {band}"
     if beside is not None:
         yield _sign(Style.BESIDE), beside.name
     if any(step.decision is not None for step in shown):
-        yield _sign(Style.ENVELOPE), words("curve.envelope")
+        yield _sign(Style.ENVELOPE), say("curve.envelope")
     if has_second:
-        yield _sign(Style.LABORATORY), words("curve.laboratory")
+        yield _sign(Style.LABORATORY), say("curve.laboratory")
     if not all(map(_has_value, shown)):
-        yield _sign(Style.HATCH), words("state.not_measured")
+        yield _sign(Style.HATCH), say("state.not_measured")
     found = {_verdict(step) for step in shown if _has_value(step)}
     for verdict in Verdict:
         if verdict in found and verdict is not Verdict.NOT_MEASURED:
-            yield _sign(style_of(verdict)), words.known("verdict", verdict)
+            yield _sign(style_of(verdict)), say.known("verdict", verdict)
     if found & {None, Verdict.NOT_MEASURED}:
-        yield _sign(Style.NO_LIMITS), words("curve.no_limits")
+        yield _sign(Style.NO_LIMITS), say("curve.no_limits")
 
 
-def _description(shown: Sequence[CurveStep], words: Words) -> str:
+def _description(shown: Sequence[CurveStep], say: Words) -> str:
     """Return the curve in words, for those who do not see it."""
     return "; ".join(
-        words(
+        say(
             "curve.described_step",
-            sieve=words.size(step.sieve_mm),
-            passing=words.estimate(step.passing_percent, 1),
-            interval=words.interval(step.passing_percent, 1),
-            verdict=words("curve.no_limits")
+            sieve=say.size(step.sieve_mm),
+            passing=say.estimate(step.passing_percent, 1),
+            interval=say.interval(step.passing_percent, 1),
+            verdict=say("curve.no_limits")
             if (verdict := _verdict(step)) is None
-            else words.known("verdict", verdict),
+            else say.known("verdict", verdict),
         )
         if _has_value(step)
-        else words("curve.described_gap", sieve=words.size(step.sieve_mm))
+        else say("curve.described_gap", sieve=say.size(step.sieve_mm))
         for step in shown
     )
 
 
-def _description_beside(others: Sequence[tuple[float, Estimate]], beside: Beside | None, words: Words) -> str:
+def _description_beside(others: Sequence[tuple[float, Estimate]], beside: Beside | None, say: Words) -> str:
     if beside is None:
         return ""
-    passing = ", ".join(
-        f"{words.size(size_mm)} mm: {words.estimate(figure, 1)} %" for size_mm, figure in others
-    )
-    return words("curve.described_beside", name=beside.name, passing=passing or words("state.not_measured"))
+    passing = ", ".join(f"{say.size(size_mm)} mm: {say.estimate(figure, 1)} %" for size_mm, figure in others)
+    return say("curve.described_beside", name=beside.name, passing=passing or say("state.not_measured"))

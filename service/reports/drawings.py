@@ -8,9 +8,8 @@ from service.lots.evaluation import lot_figures, passing_of, window_figures
 from service.lots.figures import LotFigures
 from service.lots.stored_stones import ALL_STONES, Choice, stones_of_lot
 from service.lots.yardsticks import Request
-from service.reports.curve import Beside
-from service.reports.names import lot_name
-from service.reports.svg import curve_svg
+from service.reports.curve import Beside, curve_svg
+from service.reports.words import lot_name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,10 +9,9 @@ from markupsafe import Markup
 
 from service.base.language import Language
 from service.reports.content import document_of
-from service.reports.drawing import Drawing
+from service.reports.drawing import Drawing, svg
 from service.reports.pictures import readable_png
 from service.reports.report import ReportData
-from service.reports.svg import svg
 
 TEMPLATES = Path(__file__).with_name("templates")
 

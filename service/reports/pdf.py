@@ -13,11 +13,10 @@ import typst
 from service.base.language import Language
 from service.reports.content import document_of
 from service.reports.document import NamesAndValues
-from service.reports.drawing import Drawing
+from service.reports.drawing import Drawing, svg
 from service.reports.html import TEMPLATES, data_uri
 from service.reports.pictures import sound_png
 from service.reports.report import ReportData
-from service.reports.svg import svg
 
 DEJAVU = Path("/usr/share/fonts/truetype/dejavu")
 """Folder of Debian's package fonts-dejavu-core."""

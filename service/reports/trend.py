@@ -12,25 +12,25 @@ from service.lots.trends.changes import ChangedFigure
 from service.lots.trends.diary import DiaryEntry
 from service.lots.trends.trend import Trend, TrendBucket
 from service.reports.drawing import (
+    DRAWING_WIDTH,
     LABEL_SIZE,
     Anchor,
-    Area,
-    Dot,
     Drawing,
-    DrawnLine,
     Field,
-    Label,
     Point,
     Shape,
     Sign,
     Style,
+    area,
     box,
+    dot,
+    label,
     label_width,
+    line,
+    svg,
 )
-from service.reports.svg import svg
 from service.reports.words import Words, words
 
-WIDTH, HEIGHT = 720.0, 268.0
 FIELD = Field(top=26.0, bottom=190.0)
 LOTS_TOP, LOTS_BOTTOM = FIELD.bottom + 24, FIELD.bottom + 40
 MAX_TICKS = 8
@@ -73,8 +73,7 @@ def trend_drawing(trend: Trend, figure: TrendFigure, say: Words, zone: tzinfo | 
     axes = _Axes(trend, values, starts_at_zero=figure is TrendFigure.RATE)
     title = say(f"trend.{figure}")
     return Drawing(
-        width=WIDTH,
-        height=HEIGHT,
+        height=268.0,
         title=title,
         description=_description(title, trend, values, say, zone, axes.decimals),
         shapes=(
@@ -161,17 +160,17 @@ def _grid(axes: _Axes, title: str, say: Words, zone: tzinfo | None) -> Iterator[
         yield from FIELD.row(axes.y(level), say.number(level, axes.decimals))
     for at in axes.ticks(zone):
         x = axes.x(at)
-        yield DrawnLine(((x, FIELD.top), (x, FIELD.bottom)), Style.GRID)
+        yield line(((x, FIELD.top), (x, FIELD.bottom)), Style.GRID)
         text = at.strftime(say("trend.day" if (at.hour, at.minute) == (0, 0) else "trend.clock"))
-        middle = min(x, WIDTH - 2 - label_width(text) / 2)
-        yield Label((middle, FIELD.bottom + LABEL_SIZE + 4), text, Anchor.MIDDLE)
+        middle = min(x, DRAWING_WIDTH - 2 - label_width(text) / 2)
+        yield label((middle, FIELD.bottom + LABEL_SIZE + 4), text, Anchor.MIDDLE)
     yield FIELD.frame()
-    yield Label((LABEL_SIZE + 2, FIELD.middle[1]), title, Anchor.MIDDLE, is_turned=True)
+    yield label((LABEL_SIZE + 2, FIELD.middle[1]), title, Anchor.MIDDLE, is_turned=True)
 
 
 def _line(values: Values, axes: _Axes, say: Words) -> Iterator[Shape]:
     if all(each.value is None for _, each in values):
-        yield Label(FIELD.middle, say("trend.nothing"), Anchor.MIDDLE)
+        yield label(FIELD.middle, say("trend.nothing"), Anchor.MIDDLE)
     for has_value, group in groupby(values, lambda each: each[1].value is not None):
         if not has_value:
             continue
@@ -182,17 +181,17 @@ def _line(values: Values, axes: _Axes, say: Words) -> Iterator[Shape]:
             if is_judged:
                 yield _band(list(judged), axes)
         points = [axes.point(at, each.value or 0.0) for at, each in members]
-        yield DrawnLine(points, Style.CURVE)
+        yield line(points, Style.CURVE)
         for point, (_, each) in zip(points, members, strict=True):
-            yield Dot(point, DOT_RADIUS, Style.INSUFFICIENT if _is_few(each) else Style.NO_LIMITS)
+            yield dot(point, DOT_RADIUS, Style.INSUFFICIENT if _is_few(each) else Style.NO_LIMITS)
 
 
 def _band(judged: Values, axes: _Axes) -> Shape:
     low = [axes.point(at, each.low or 0.0) for at, each in judged]
     high = [axes.point(at, each.high or 0.0) for at, each in judged]
     if len(judged) > 1:
-        return Area((*high, *reversed(low)), Style.BAND)
-    return DrawnLine((*low, *high), Style.CURVE)
+        return area((*high, *reversed(low)), Style.BAND)
+    return line((*low, *high), Style.CURVE)
 
 
 def _marks(trend: Trend, axes: _Axes, say: Words) -> Iterator[Shape]:
@@ -200,18 +199,18 @@ def _marks(trend: Trend, axes: _Axes, say: Words) -> Iterator[Shape]:
     right = FIELD.left - 4.0
     for entry in trend.diary:
         x = axes.x(datetime.fromisoformat(entry.at))
-        yield DrawnLine(((x, FIELD.top - 6), (x, FIELD.bottom)), Style.MARK)
+        yield line(((x, FIELD.top - 6), (x, FIELD.bottom)), Style.MARK)
         yield _mark(x, FIELD.top - 6)
         text = entry_name(entry, say)
         width = label_width(text)
         place = min(max(x - width / 2, right + 4), FIELD.right - width)
         if place >= right + 4 and abs(place + width / 2 - x) <= width / 2 + 8:
-            yield Label((place, FIELD.top - 14), text)
+            yield label((place, FIELD.top - 14), text)
             right = place + width
 
 
-def _mark(x: float, y: float) -> Area:
-    return Area(((x - 4, y - 6), (x + 4, y - 6), (x, y + 1)), Style.MARK)
+def _mark(x: float, y: float) -> Shape:
+    return area(((x - 4, y - 6), (x + 4, y - 6), (x, y + 1)), Style.MARK)
 
 
 def entry_name(entry: DiaryEntry, say: Words) -> str:
@@ -229,15 +228,15 @@ def _lots(trend: Trend, axes: _Axes) -> Iterator[Shape]:
         right = axes.x(datetime.fromisoformat(lot.closed_at or trend.until))
         yield box(left, LOTS_TOP, right, LOTS_BOTTOM, Style.LOT)
         if label_width(lot.lot) + 6 < right - left:
-            yield Label(((left + right) / 2, LOTS_BOTTOM - 4), lot.lot, Anchor.MIDDLE)
+            yield label(((left + right) / 2, LOTS_BOTTOM - 4), lot.lot, Anchor.MIDDLE)
 
 
 def _legend_entries(trend: Trend, values: Values, say: Words) -> Iterator[tuple[Sign, str]]:
     def value(x: float, y: float) -> Iterator[Shape]:
         if has_band:
             yield box(x, y - 5, x + 24, y + 5, Style.BAND)
-        yield DrawnLine(((x, y), (x + 24, y)), Style.CURVE)
-        yield Dot((x + 12, y), DOT_RADIUS, Style.NO_LIMITS)
+        yield line(((x, y), (x + 24, y)), Style.CURVE)
+        yield dot((x + 12, y), DOT_RADIUS, Style.NO_LIMITS)
 
     has_band = any(each.low is not None for _, each in values)
     if has_band:
@@ -245,7 +244,7 @@ def _legend_entries(trend: Trend, values: Values, say: Words) -> Iterator[tuple[
     elif any(each.value is not None for _, each in values):
         yield value, say("trend.value")
     if any(_is_few(each) for _, each in values):
-        yield lambda x, y: [Dot((x + 12, y), DOT_RADIUS, Style.INSUFFICIENT)], say("trend.few")
+        yield lambda x, y: [dot((x + 12, y), DOT_RADIUS, Style.INSUFFICIENT)], say("trend.few")
     if trend.diary:
         yield lambda x, y: [_mark(x + 12, y + 2)], say("trend.diary")
     if trend.lots:

@@ -12,7 +12,7 @@ from service.lots.routes.lot_figures import Choosing, Measuring
 from service.lots.routes.lots import LotName
 from service.lots.routes.windows import Minutes, ProductId, last_minutes
 from service.reports.drawings import CurveRequest, lot_curve_svg, window_curve_svg
-from service.reports.names import minutes_name
+from service.reports.words import minutes_name
 from service.web.auth import READABLE
 from service.web.context import Context
 from service.web.problems import existing, problem_responses
