@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
-from typing import Any
 
 from pipeline.frames import rfc3339
 from pipeline.gradation.correlation import correlated
@@ -14,11 +13,13 @@ from pipeline.gradation.d4791 import RATIOS, ParticleForm, Shares
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.estimators import sample_of
 from pipeline.gradation.evaluation import Gradation, evaluate
+from pipeline.gradation.indices import Indices
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.specification import Judgement, LotJudgement, Specification, Verdict, judge
-from pipeline.gradation.stones import Fate, Lot
+from pipeline.gradation.stones import Fate, Lot, UnmeasuredMass
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
 from service.lots.figures import (
+    INDICES,
     CorrelatedCurve,
     CorrelatedStep,
     CurveStep,
@@ -49,25 +50,17 @@ def lot_figures(
 ) -> LotFigures | None:
     """Return the figures of a lot, or of a choice of its stones; None if there is no such lot.
 
-    Raises
-    ------
-    UnknownYardstickError
-        As `yardstick_of` does.
-    UnknownChoiceError
-        As `stones_of_lot` does.
+    Raises `UnknownYardstickError` as `yardstick_of` does, and `UnknownChoiceError` as `stones_of_lot` does.
     """
     record = find_lot(connection, lot)
     if record is None:
         return None
     product = find_product(connection, record.product, record.version)
     stones = stones_of_lot(connection, lot, choice)
-    found = correlations(connection, record.product)
-    figures = figures_of(
-        stones, request, product, record, stones_per_s(connection), found[0] if found else None
-    )
-    return figures.model_copy(
-        update={"without": list(choice.without), "algorithm_version": choice.algorithm_version}
-    )
+    newest = next(iter(correlations(connection, record.product)), None)
+    figures = figures_of(stones, request, product, record, stones_per_s(connection), newest)
+    asked = {"without": list(choice.without), "algorithm_version": choice.algorithm_version}
+    return figures.model_copy(update=asked)
 
 
 def window_figures(
@@ -104,16 +97,26 @@ def figures_of(
     """Return the figures of stones, with the verdict by the specification of their product or of the request."""
     definition = None if product is None else product.definition
     yardstick = yardstick_of(definition, request)
-    specification = yardstick.specification
-    gradation = evaluate(
-        stones.lot, yardstick.apertures_mm, measured=yardstick.measured, scale_sd=LENGTH_SD_PERCENT / 100
-    )
+    specification, apertures_mm = yardstick.specification, yardstick.apertures_mm
+    scale_sd = LENGTH_SD_PERCENT / 100
+    gradation = evaluate(stones.lot, apertures_mm, measured=yardstick.measured, scale_sd=scale_sd)
     judgement = None if specification is None else judge(specification, gradation)
     upper_mm = None if definition is None else definition.upper_mm
+    fates: Counter[Fate] = Counter()
+    for (fate, _), n_stones in stones.lot.counts.items():
+        fates[fate] += n_stones
     return LotFigures(
         lot=None if record is None else lot_document(record),
         product=None if product is None else _product(product, specification),
-        **_account(stones),
+        since=stones.since,
+        until=stones.until,
+        triggers=sum(fates.values()),
+        measured=fates[Fate.MEASURED],
+        rejected=fates[Fate.REJECTED],
+        lost=fates[Fate.LOST],
+        by_quality={word: n for (fate, word), n in stones.lot.counts.items() if fate is Fate.MEASURED},
+        by_body=stones.by_body,
+        not_refined=stones.not_refined,
         mass_kg=None if definition is None else gradation.volume_mm3 * 1e-9 * definition.density_kg_m3,
         n_effective=gradation.n_effective,
         sieve_set=yardstick.sieves.name,
@@ -122,50 +125,22 @@ def figures_of(
         curve=_curve(gradation, judgement, rate_per_s),
         correlated=None if correlation is None else _correlated(stones.lot, correlation, yardstick),
         quantiles=_quantiles(gradation),
-        indices=_indices(gradation),
-        **_verdict(judgement, rate_per_s),
-        unmeasured=_unmeasured(gradation),
+        indices=_indices(gradation.indices),
+        flakiness_decision=None if judgement is None else _decision(judgement.flakiness, rate_per_s),
+        shape_decision=None if judgement is None else _decision(judgement.shape, rate_per_s),
+        verdict=None if judgement is None else judgement.verdict,
+        is_partial=judgement is not None and judgement.is_partial,
+        countdown=None if judgement is None else countdown(judgement, rate_per_s),
+        unmeasured=_unmeasured(gradation.unmeasured),
         least_portion_kg=None
         if upper_mm is None
         else standards().least_portions[LEAST_PORTIONS].least_kg(upper_mm),
         scale_sd_percent=LENGTH_SD_PERCENT,
+        calibration_ids=list(stones.calibration_ids),
+        algorithm_versions=list(stones.algorithm_versions),
+        is_simulated=stones.is_simulated,
+        is_replay=stones.is_replay,
     )
-
-
-def _account(stones: Stones) -> dict[str, Any]:
-    """Return the fields of the figures that count the stones and name where they are from."""
-    fates: Counter[Fate] = Counter()
-    for (fate, _), n_stones in stones.lot.counts.items():
-        fates[fate] += n_stones
-    return {
-        "triggers": sum(fates.values()),
-        "measured": fates[Fate.MEASURED],
-        "rejected": fates[Fate.REJECTED],
-        "lost": fates[Fate.LOST],
-        "by_quality": {word: n for (fate, word), n in stones.lot.counts.items() if fate is Fate.MEASURED},
-        "by_body": stones.by_body,
-        "not_refined": stones.not_refined,
-        "since": stones.since,
-        "until": stones.until,
-        "calibration_ids": list(stones.calibration_ids),
-        "algorithm_versions": list(stones.algorithm_versions),
-        "is_simulated": stones.is_simulated,
-        "is_replay": stones.is_replay,
-    }
-
-
-def _verdict(judgement: LotJudgement | None, rate_per_s: float) -> dict[str, Any]:
-    """Return the fields of the figures that the specification decides."""
-    if judgement is None:
-        undecided = ("flakiness_decision", "shape_decision", "verdict", "countdown")
-        return {"is_partial": False, **dict.fromkeys(undecided)}
-    return {
-        "flakiness_decision": _decision(judgement.flakiness, rate_per_s),
-        "shape_decision": _decision(judgement.shape, rate_per_s),
-        "verdict": judgement.verdict,
-        "is_partial": judgement.is_partial,
-        "countdown": countdown(judgement, rate_per_s),
-    }
 
 
 def passing_of(lot: Lot, apertures_mm: Sequence[float], measured: MeasuredRange) -> dict[float, Estimate]:
@@ -234,66 +209,51 @@ def _curve(gradation: Gradation, judgement: LotJudgement | None, rate_per_s: flo
 def _correlated(lot: Lot, correlation: Correlation, yardstick: Yardstick) -> CorrelatedCurve:
     found = correlation.study
     passing = passing_of(correlated(lot, found.mapping), yardstick.apertures_mm, yardstick.measured)
+    curve = [CorrelatedStep(sieve_mm=sieve_mm, passing_percent=each) for sieve_mm, each in passing.items()]
     return CorrelatedCurve(
         version=correlation.version,
         factor=found.mapping.factor,
         n_lots=found.n_lots,
         held_out_rmse=found.held_out_rmse,
-        curve=[
-            CorrelatedStep(sieve_mm=sieve_mm, passing_percent=percent)
-            for sieve_mm, percent in passing.items()
-        ],
+        curve=curve,
     )
 
 
 def _quantiles(gradation: Gradation) -> list[Quantile]:
     return [
         Quantile(
-            percent=percent,
-            interpolated_mm=interpolated,
-            exact_mm=gradation.quantiles_exact_mm[percent],
+            percent=percent, interpolated_mm=interpolated, exact_mm=gradation.quantiles_exact_mm[percent]
         )
         for percent, interpolated in sorted(gradation.quantiles_interpolated_mm.items())
     ]
 
 
-def _indices(gradation: Gradation) -> ShapeIndices:
-    indices, d4791 = gradation.indices, gradation.indices.d4791
+def _indices(found: Indices) -> ShapeIndices:
+    d4791 = found.d4791
+    fractions = [
+        FlatAndElongatedFraction(
+            lower_mm=fraction.size.min_mm,
+            upper_mm=fraction.size.max_mm,
+            mass_percent=fraction.mass_percent,
+            n_stones=fraction.n_stones,
+            forms=_forms(fraction.shares),
+        )
+        for fraction in d4791.fractions
+    ]
     return ShapeIndices(
-        fineness_modulus=indices.fineness_modulus,
-        uniformity=indices.uniformity,
-        curvature=indices.curvature,
-        d32_mm=indices.d32_mm,
-        d43_mm=indices.d43_mm,
-        flakiness_percent=indices.flakiness,
-        shape_percent=indices.shape,
-        needle_flaky_percent=indices.needle_flaky,
+        **{name: getattr(found, name.removesuffix("_percent")) for name in INDICES},
         flat_and_elongated=_forms(d4791.whole),
-        flat_and_elongated_fractions=[
-            FlatAndElongatedFraction(
-                lower_mm=fraction.size.min_mm,
-                upper_mm=fraction.size.max_mm,
-                mass_percent=fraction.mass_percent,
-                n_stones=fraction.n_stones,
-                forms=_forms(fraction.shares),
-            )
-            for fraction in d4791.fractions
-        ],
+        flat_and_elongated_fractions=fractions,
         flat_and_elongated_weighted=_forms(d4791.weighted),
     )
 
 
 def _forms(shares: Shares) -> list[FlatAndElongated]:
-    def figures(form: ParticleForm, ratio: int) -> dict[str, Estimate]:
+    def by_basis(form: ParticleForm, ratio: int) -> dict[str, Estimate]:
         return {str(basis): each for basis, each in shares[form][ratio].items()}
 
     return [
-        FlatAndElongated(
-            ratio=ratio,
-            flat_percent=figures(ParticleForm.FLAT, ratio),
-            elongated_percent=figures(ParticleForm.ELONGATED, ratio),
-            flat_and_elongated_percent=figures(ParticleForm.FLAT_AND_ELONGATED, ratio),
-        )
+        FlatAndElongated(ratio=ratio, **{f"{form}_percent": by_basis(form, ratio) for form in ParticleForm})
         for ratio in RATIOS
     ]
 
@@ -301,20 +261,18 @@ def _forms(shares: Shares) -> list[FlatAndElongated]:
 def _decision(judgement: Judgement | None, rate_per_s: float) -> Decision | None:
     if judgement is None:
         return None
-    limits = judgement.limits
     return Decision(
         verdict=judgement.verdict,
-        limits=Range(min_percent=limits.min_percent, max_percent=limits.max_percent),
+        limits=Range(**asdict(judgement.limits)),
         more_stones=judgement.more_stones,
         more_s=judgement.seconds(rate_per_s),
     )
 
 
-def _unmeasured(gradation: Gradation) -> Unmeasured:
-    unmeasured = gradation.unmeasured
+def _unmeasured(found: UnmeasuredMass) -> Unmeasured:
     return Unmeasured(
-        n_stones=unmeasured.n_stones,
-        by_reason={f"{each.fate}: {each.reason}": each.n_stones for each in unmeasured.counts},
-        expected_percent=unmeasured.expected_percent,
-        at_most_percent=unmeasured.at_most_percent,
+        n_stones=found.n_stones,
+        by_reason={f"{each.fate}: {each.reason}": each.n_stones for each in found.counts},
+        expected_percent=found.expected_percent,
+        at_most_percent=found.at_most_percent,
     )
