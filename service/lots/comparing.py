@@ -3,18 +3,18 @@
 import sqlite3
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from pydantic import Field
 
 from pipeline.gradation.curve import PERCENTS, passes
 from pipeline.gradation.differences import Difference, difference_of_lots, difference_of_versions, significant
 from pipeline.gradation.estimates import Estimate
-from pipeline.gradation.indices import is_flaky, is_non_cubical
 from pipeline.gradation.influences import Influences, share_influences, size_influences
 from pipeline.gradation.sieves import MeasuredRange
 from service.base.status import Report
 from service.lots.evaluation import figures_of
-from service.lots.figures import LotFigures, named_figures
+from service.lots.figures import SHARES, LotFigures, named_figures
 from service.lots.lots import find_lot
 from service.lots.products import find_product
 from service.lots.stored_stones import ALL_STONES, Choice, Stones, stones_of_lot
@@ -42,9 +42,9 @@ class ComparedFigure(Report):
     )
     a: Estimate = Field(description="Of the first")
     b: Estimate = Field(description="Of the second")
-    difference: float | None = Field(description="b less a; null where one has no value")
-    low: float | None = Field(description="Lower end of the 95 % interval of the difference")
-    high: float | None = Field(description="Upper end of it")
+    difference: float | None = Field(default=None, description="b less a; null where one has no value")
+    low: float | None = Field(default=None, description="Lower end of the 95 % interval of the difference")
+    high: float | None = Field(default=None, description="Upper end of it")
     is_significant: bool | None = Field(
         description="More than chance, by Holm's method over all figures; null: not measured, or too few stones"
     )
@@ -79,12 +79,7 @@ class LotComparison(Report):
 def compare_lots(connection: sqlite3.Connection, a: Side, b: Side, request: Request) -> LotComparison | None:
     """Return the comparison by the product of the first, or by any sieves; None if there is no such lot.
 
-    Raises
-    ------
-    UnknownYardstickError
-        As `yardstick_of` does.
-    UnknownChoiceError
-        As `stones_of_lot` does.
+    Raises `UnknownYardstickError` as `yardstick_of` does, and `UnknownChoiceError` as `stones_of_lot` does.
     """
     record = find_lot(connection, a.lot)
     if record is None or find_lot(connection, b.lot) is None:
@@ -111,6 +106,13 @@ def _side(side: Side, figures: LotFigures) -> ComparedSide:
     )
 
 
+def ends_of(difference: Difference | None) -> dict[str, Any]:
+    """Return the fields of an answer that say how large a difference is."""
+    if difference is None:
+        return {}
+    return {"difference": difference.value, "low": difference.low, "high": difference.high}
+
+
 def compared_figures(
     stones: Sequence[Stones], found: Sequence[LotFigures], measured: MeasuredRange, *, is_paired: bool
 ) -> list[ComparedFigure]:
@@ -134,9 +136,7 @@ def compared_figures(
             figure=name,
             a=named[0][name],
             b=named[1][name],
-            difference=None if (by := differences.get(name)) is None else by.value,
-            low=None if by is None else by.low,
-            high=None if by is None else by.high,
+            **ends_of(differences.get(name)),
             is_significant=name in clear if name in judged else None,
         )
         for name in first
@@ -155,5 +155,5 @@ def _influences(
         )
     for percent in PERCENTS:
         yield f"d{percent}_mm", size_influences(stones.lot, percent, measured)
-    yield "flakiness_percent", share_influences(stones.lot, is_flaky(measured))
-    yield "shape_percent", share_influences(stones.lot, is_non_cubical(measured))
+    for name, property_of in SHARES.items():
+        yield name, share_influences(stones.lot, property_of(measured))

@@ -1,10 +1,13 @@
 """The figures of a lot as REST returns them and the report prints them."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from pydantic import Field
 
 from pipeline.gradation.estimates import Estimate
+from pipeline.gradation.estimators import Property
+from pipeline.gradation.indices import is_flaky, is_non_cubical
+from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.specification import Verdict
 from service.base.schema import TIME
 from service.base.status import Report
@@ -217,6 +220,11 @@ class LotFigures(Report):
 
 INDICES = tuple(name for name, field in ShapeIndices.model_fields.items() if field.annotation is Estimate)
 """The figures of a lot beside its curve and ASTM D4791."""
+SHARES: Mapping[str, Callable[[MeasuredRange], Property]] = {
+    "flakiness_percent": is_flaky,
+    "shape_percent": is_non_cubical,
+}
+"""Indices that are followed over time and compared: each a share of the stones, by the property that it counts."""
 UNITS = {"percent": "%", "mm": "mm", "kg": "kg"}
 
 

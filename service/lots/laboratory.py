@@ -6,10 +6,11 @@ import sqlite3
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from http import HTTPStatus
-from typing import Any
+
+from pydantic import TypeAdapter
 
 from drivers.files.times import utc_now
-from pipeline.gradation.correlation import MappingForm, SievedLot, SizeMapping, Study, study
+from pipeline.gradation.correlation import MappingForm, SievedLot, Study, study
 from service.base.errors import InvalidRequestError, ProblemError, ProblemKind, TooManyError
 from service.lots.lots import LotState, lots
 from service.lots.stored_stones import stones_of_lot
@@ -91,6 +92,9 @@ class Correlation:
     study: Study
 
 
+SIEVING, STUDY = TypeAdapter(Sieving), TypeAdapter(Study)
+
+
 def parse_table(text: str, **more: str | None) -> Sieving:
     """Read a table of apertures and masses as it is copied from a spreadsheet.
 
@@ -144,13 +148,7 @@ def _words(line: str) -> list[str]:
 
 
 def add_sieving(connection: sqlite3.Connection, lot: str, sieving: Sieving, who: str) -> StoredSieving:
-    """Store a sieving of a lot.
-
-    Raises
-    ------
-    TooManyError
-        The lot has `MAX_SIEVINGS` already.
-    """
+    """Store a sieving of a lot; raise `TooManyError` if it has `MAX_SIEVINGS` already."""
     document = asdict(sieving)
     with transaction(connection):
         (n,) = connection.execute("SELECT count(*) FROM sievings WHERE lot = ?", (lot,)).fetchone()
@@ -170,7 +168,7 @@ def sievings(connection: sqlite3.Connection, lot: str) -> list[StoredSieving]:
         "SELECT sieving, at, document FROM sievings WHERE lot = ? ORDER BY sieving", (lot,)
     )
     return [
-        StoredSieving(sieving=number, lot=lot, at=at, document=_sieving(json.loads(text)))
+        StoredSieving(sieving=number, lot=lot, at=at, document=SIEVING.validate_json(text))
         for number, at, text in rows
     ]
 
@@ -178,14 +176,16 @@ def sievings(connection: sqlite3.Connection, lot: str) -> list[StoredSieving]:
 def study_of(connection: sqlite3.Connection, product: str, form: MappingForm) -> Study:
     """Study all lots of a product that were sieved, void ones left out; takes long, so not on the writer's connection.
 
-    Raises
-    ------
-    NothingToStudyError
-        No lot has both stones and a sieving that tell a size.
+    Raises `NothingToStudyError` if no lot has both stones and a sieving that tell a size.
     """
+    names = [
+        each.definition.lot
+        for each in lots(connection, None, product, None, MOST_LOTS)
+        if each.state is not LotState.VOID
+    ]
     sieved = [
         SievedLot(lot=stones_of_lot(connection, name).lot, passing=each.document.passing_percent)
-        for name in _sieved_lots(connection, product)
+        for name in names
         for each in sievings(connection, name)
     ]
     try:
@@ -215,14 +215,9 @@ def correlations(connection: sqlite3.Connection, product: str) -> list[Correlati
         "SELECT version, at, document FROM correlations WHERE product = ? ORDER BY version DESC", (product,)
     )
     return [
-        Correlation(product=product, version=version, at=at, study=_study(json.loads(text)))
+        Correlation(product=product, version=version, at=at, study=STUDY.validate_json(text))
         for version, at, text in rows
     ]
-
-
-def _sieved_lots(connection: sqlite3.Connection, product: str) -> list[str]:
-    of_product = lots(connection, None, product, None, MOST_LOTS)
-    return [each.definition.lot for each in of_product if each.state is not LotState.VOID]
 
 
 def _number(text: str, line: int) -> float:
@@ -230,14 +225,3 @@ def _number(text: str, line: int) -> float:
         return float(text.strip().replace(",", "."))
     except ValueError:
         raise SievingError(f"table: line {line}: {text.strip()[:40]!r} is not a number") from None
-
-
-def _sieving(document: dict[str, Any]) -> Sieving:
-    retained = {float(aperture): grams for aperture, grams in document.pop("retained_g").items()}
-    return Sieving(retained_g=retained, **document)
-
-
-def _study(document: dict[str, Any]) -> Study:
-    mapping = {name: tuple(values) for name, values in document.pop("mapping").items()}
-    form = MappingForm(document.pop("form"))
-    return Study(form=form, mapping=SizeMapping(**mapping), **document)

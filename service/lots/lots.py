@@ -53,7 +53,7 @@ class LotDefinition:
     """Whatever else the plant says of it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class LotRecord:
     """A lot, without the figures of its stones."""
 
@@ -85,15 +85,9 @@ def open_lot(
 ) -> LotRecord:
     """Open a lot of a product; what falls from now on is in it.
 
-    The same lot opened again while it is open is returned as it is.
-
-    Raises
-    ------
-    LotConflictError
-        Another lot is open, or this one was opened before with other words, or is closed or void, or the name of
-        another differs by capital letters alone.
-    UnknownProductError
-        There is no such product, or not this version of it.
+    The same lot opened again while it is open is returned as it is. Raises `LotConflictError` if another lot is open,
+    this one was opened before with other words, or is closed or void, or the name of another differs by capital letters
+    alone; `UnknownProductError` if there is no such product, or not this version of it.
     """
     with transaction(connection):
         found = find_product(connection, product, version)
@@ -106,22 +100,15 @@ def open_lot(
             if existing.state is LotState.OPEN and same == (definition, product, found.version):
                 return existing
             raise LotConflictError(f"lot {definition.lot} exists already and is {existing.state}")
-        if (alike := _alike(connection, definition.lot)) is not None:
+        for alike in _lots(connection, "lot = ? COLLATE NOCASE", (definition.lot,), 1):
             raise LotConflictError(
-                f"lot {alike} differs by capital letters alone: its files would be the same"
+                f"lot {alike.definition.lot} differs by capital letters alone: its files would be the same"
             )
-        if (other := _open_lot(connection)) is not None:
-            raise LotConflictError(f"lot {other} is open: close it first")
+        for other in _lots(connection, "state = 'open'", (), 1):
+            raise LotConflictError(f"lot {other.definition.lot} is open: close it first")
         connection.execute(
-            "INSERT INTO lots (lot, state, product, version, definition, opened_at) VALUES (?, ?, ?, ?, ?, ?)",
-            (
-                definition.lot,
-                LotState.OPEN,
-                product,
-                found.version,
-                json.dumps(asdict(definition)),
-                utc_now(),
-            ),
+            "INSERT INTO lots (lot, product, version, definition, opened_at, state) VALUES (?, ?, ?, ?, ?, 'open')",
+            (definition.lot, product, found.version, json.dumps(asdict(definition)), utc_now()),
         )
         return _noted(connection, definition.lot, who, "lot opened", None, EventType.LOT_OPENED)
 
@@ -173,17 +160,14 @@ def assign(
             return None
         if before.state is LotState.VOID:
             raise LotConflictError(f"lot {lot} is void")
-        within = (lot, since, until)
-        n_assigned = connection.execute(
-            "UPDATE indexed_fields SET lot = ? WHERE captured_at >= ? AND captured_at < ? AND lot IS NULL"
-            " AND kind = 'particle'",
-            within,
-        ).rowcount
-        n_triggers = connection.execute(
-            "UPDATE triggers SET lot = ? WHERE captured_at >= ? AND captured_at < ? AND lot IS NULL"
-            " AND kind = 'particle'",
-            within,
-        ).rowcount
+        n_assigned, n_triggers = (
+            connection.execute(
+                f"UPDATE {table} SET lot = ? WHERE captured_at >= ? AND captured_at < ? AND lot IS NULL"  # noqa: S608 - of two
+                " AND kind = 'particle'",
+                (lot, since, until),
+            ).rowcount
+            for table in ("indexed_fields", "triggers")
+        )
         details = {"since": since, "until": until, "n_stones": n_assigned}
         audit.note(connection, who, "stones assigned", lot, after=details)
         if n_assigned or n_triggers:  # of which some may have no outcome yet
@@ -231,35 +215,15 @@ def _lots(
     connection: sqlite3.Connection, condition: str, values: tuple[object, ...], limit: int
 ) -> list[LotRecord]:
     rows = connection.execute(
-        "SELECT state, product, version, definition, opened_at, closed_at, void_reason, revision,"  # noqa: S608 - of this module
+        "SELECT definition, state, product, version, opened_at, closed_at, void_reason, revision,"  # noqa: S608 - of this module
         " (SELECT coalesce(sum(n_stones), 0) FROM stones WHERE stones.lot = lots.lot)"
         f" FROM lots WHERE {condition} ORDER BY opened_at DESC, lot LIMIT ?",
         (*values, limit),
     )
     return [
-        LotRecord(
-            definition=LotDefinition(**json.loads(definition)),
-            state=LotState(state),
-            product=product,
-            version=version,
-            opened_at=opened_at,
-            closed_at=closed_at,
-            void_reason=void_reason,
-            revision=revision,
-            n_stones=n_stones,
-        )
-        for state, product, version, definition, opened_at, closed_at, void_reason, revision, n_stones in rows
+        LotRecord(LotDefinition(**json.loads(definition)), LotState(state), *others)
+        for definition, state, *others in rows
     ]
-
-
-def _open_lot(connection: sqlite3.Connection) -> str | None:
-    row = connection.execute("SELECT lot FROM lots WHERE state = 'open'").fetchone()
-    return None if row is None else str(row[0])
-
-
-def _alike(connection: sqlite3.Connection, lot: str) -> str | None:
-    row = connection.execute("SELECT lot FROM lots WHERE lot = ? COLLATE NOCASE", (lot,)).fetchone()
-    return None if row is None else str(row[0])
 
 
 def _existing(connection: sqlite3.Connection, lot: str) -> LotRecord:

@@ -100,13 +100,10 @@ def save_product(
 ) -> Product:
     """Make a new version of a product, if it is another one than the newest; return the newest.
 
-    Raises
-    ------
-    TooManyError
-        There are `MAX_PRODUCTS` others already.
+    Raises `TooManyError` if there are `MAX_PRODUCTS` others already.
     """
     with transaction(connection):
-        newest = _newest(connection, product)
+        newest = find_product(connection, product)
         if newest is not None and newest.definition == definition:
             return newest
         (n,) = connection.execute("SELECT count(DISTINCT product) FROM products").fetchone()
@@ -125,38 +122,30 @@ def save_product(
 
 def find_product(connection: sqlite3.Connection, product: str, version: int | None = None) -> Product | None:
     """Return a version of a product, the newest unless it is named; None if there is none."""
-    if version is None:
-        return _newest(connection, product)
-    rows = connection.execute(
-        "SELECT product, version, created_at, definition FROM products WHERE product = ? AND version = ?",
-        (product, version),
-    )
-    return _product(rows.fetchone())
+    condition = "product = ?1 AND version = coalesce(?2, version) ORDER BY version DESC LIMIT 1"
+    return next(iter(_products(connection, condition, product, version)), None)
 
 
 def products(connection: sqlite3.Connection) -> list[Product]:
     """Return the newest version of all products, by name."""
+    newest = "SELECT product, max(version) FROM products GROUP BY product"
+    return _products(connection, f"(product, version) IN ({newest}) ORDER BY product")
+
+
+def _products(connection: sqlite3.Connection, condition: str, *values: object) -> list[Product]:
     rows = connection.execute(
-        "SELECT product, max(version), created_at, definition FROM products GROUP BY product ORDER BY product"
+        f"SELECT product, version, created_at, definition FROM products WHERE {condition}",  # noqa: S608 - of this module
+        values,
     )
-    return [found for row in rows if (found := _product(row)) is not None]
-
-
-def _newest(connection: sqlite3.Connection, product: str) -> Product | None:
-    rows = connection.execute(
-        "SELECT product, version, created_at, definition FROM products WHERE product = ?"
-        " ORDER BY version DESC LIMIT 1",
-        (product,),
-    )
-    return _product(rows.fetchone())
-
-
-def _product(row: tuple[str, int, str, str] | None) -> Product | None:
-    if row is None:
-        return None
-    product, version, created_at, text = row
-    definition = definition_of(json.loads(text))
-    return Product(**_members(definition), product=product, version=version, created_at=created_at)
+    return [
+        Product(
+            **_members(definition_of(json.loads(text))),
+            product=product,
+            version=version,
+            created_at=created_at,
+        )
+        for product, version, created_at, text in rows
+    ]
 
 
 def definition_of(document: Mapping[str, Any]) -> ProductDefinition:

@@ -10,7 +10,7 @@ from pipeline.gradation.repeatability import Repeatability, repeatability
 from service.base.errors import ProblemError, ProblemKind
 from service.base.schema import ANSWER
 from service.lots.evaluation import figures_of
-from service.lots.figures import LotFigures, named_figures
+from service.lots.figures import named_figures
 from service.lots.lots import LotRecord, LotState, lots_of_sample
 from service.lots.products import find_product
 from service.lots.stored_stones import stones_of_lot
@@ -67,12 +67,7 @@ def sample_study(
 ) -> SampleStudy | None:
     """Compare the closed lots with this sample id, all by the product of the newest; None if there is none.
 
-    Raises
-    ------
-    RunsTooFewError
-        No two runs were made under equal conditions.
-    UnknownYardstickError
-        As `yardstick_of` does.
+    Raises `RunsTooFewError` if no two runs were made under equal conditions, and as `yardstick_of` does.
     """
     records = [each for each in lots_of_sample(connection, sample_id) if each.state is LotState.CLOSED]
     if not records:
@@ -80,7 +75,13 @@ def sample_study(
     newest = records[-1]
     product = find_product(connection, newest.product, newest.version)
     runs = [Run(lot=each.definition.lot, group=_group(each, conditions)) for each in records]
-    found = [_values(figures_of(stones_of_lot(connection, run.lot), request, product)) for run in runs]
+    figures_of_runs = [
+        named_figures(figures_of(stones_of_lot(connection, run.lot), request, product)) for run in runs
+    ]
+    found = [
+        {name: each.value for name, each in named.items() if each.value is not None}
+        for named in figures_of_runs
+    ]
     names = [name for name in found[-1] if all(name in values for values in found)]
     groups = {run.group: [each for each in range(len(runs)) if runs[each].group == run.group] for run in runs}
     try:
@@ -105,8 +106,3 @@ def _group(record: LotRecord, conditions: Conditions) -> str:
     definition = record.definition
     said = definition.sampler if conditions is Conditions.SAMPLER else definition.equipment
     return said or f"unknown, {definition.lot}"  # may equal no other
-
-
-def _values(figures: LotFigures) -> dict[str, float]:
-    """Return the figures that have a value."""
-    return {name: each.value for name, each in named_figures(figures).items() if each.value is not None}

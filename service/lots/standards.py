@@ -34,26 +34,17 @@ class Standards:
 
 
 def read_standards(folder: Path = FOLDER) -> Standards:
-    """Return the tables of a folder.
-
-    Raises
-    ------
-    StandardsError
-        A file cannot be read or a table is wrong; names the file and each wrong field.
-    """
+    """Return the tables of a folder; a `StandardsError` names the file that is wrong, and each wrong field."""
     sieves = _read(folder / SIEVES, _SievesFile)
     specifications = _read(folder / SPECIFICATIONS, _SpecificationsFile)
     try:
         return Standards(
-            sieve_sets={
-                name: SieveSet(name=name, source=table.source, apertures_mm=table.apertures_mm)
-                for name, table in sieves.sets.items()
-            },
+            sieve_sets={name: SieveSet(name=name, **dict(table)) for name, table in sieves.sets.items()},
             least_portions={
                 name: LeastPortions(source=table.source, kg_by_size_mm=table.kg)
                 for name, table in sieves.least_portions.items()
             },
-            flakiness_fractions={name: table.fractions for name, table in sieves.flakiness.items()},
+            flakiness_fractions={name: table.low_high_slot_mm for name, table in sieves.flakiness.items()},
             categories={
                 name: Category(name=name, source=table.source, passing=table.passing)
                 for name, table in specifications.categories.items()
@@ -61,8 +52,7 @@ def read_standards(folder: Path = FOLDER) -> Standards:
             flakiness=specifications.flakiness.limits,
             shape=specifications.shape.limits,
             sizes={
-                name: Specification(name=name, source=table.source, passing=table.passing)
-                for name, table in specifications.sizes.items()
+                name: Specification(name=name, **dict(table)) for name, table in specifications.sizes.items()
             },
         )
     except ValueError as err:
@@ -79,9 +69,11 @@ def _pair_to_limits(pair: object) -> object:
 _Limits = Annotated[Limits, BeforeValidator(_pair_to_limits)]
 
 
-class _Table(BaseModel):
+class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+
+class _Table(_Strict):
     source: str = Field(min_length=1)
 
 
@@ -94,16 +86,10 @@ class _PortionTable(_Table):
 
 
 class _FlakinessTable(_Table):
-    low_high_slot_mm: tuple[tuple[PositiveFloat, PositiveFloat, PositiveFloat], ...]
-
-    @property
-    def fractions(self) -> tuple[FlakinessFraction, ...]:
-        return tuple(FlakinessFraction(*fraction) for fraction in self.low_high_slot_mm)
+    low_high_slot_mm: tuple[FlakinessFraction, ...]
 
 
-class _SievesFile(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
+class _SievesFile(_Strict):
     sets: dict[str, _SieveTable]
     least_portions: dict[str, _PortionTable]
     flakiness: dict[str, _FlakinessTable]
@@ -134,16 +120,14 @@ class _SizeTable(_Table):
     passing: dict[PositiveFloat, _Limits] = Field(min_length=1)
 
 
-class _SpecificationsFile(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
+class _SpecificationsFile(_Strict):
     categories: dict[str, _CategoryTable]
     flakiness: _IndexTable
     shape: _IndexTable
     sizes: dict[str, _SizeTable]
 
 
-File = TypeVar("File", bound=BaseModel)
+File = TypeVar("File", bound=_Strict)
 
 
 def _read(path: Path, kind: type[File]) -> File:

@@ -77,10 +77,7 @@ class StoneBehindStep:
 def stones_of_lot(connection: sqlite3.Connection, lot: str, choice: Choice = ALL_STONES) -> Stones:
     """Return the stones of a lot, or a choice of them.
 
-    Raises
-    ------
-    UnknownChoiceError
-        A stone that is to be left out is not in the lot, or no stone of it was measured by the version.
+    Raises `UnknownChoiceError` if a stone to leave out is not in the lot, or none was measured by the version.
     """
     if choice.algorithm_version is None:
         records = _rows(connection, "lot = ?", lot)
@@ -121,18 +118,9 @@ def stones_behind(
         " ORDER BY volume_mm3 DESC, seq LIMIT ?",
         (lot, above_mm, up_to_mm, limit),
     )
-    return [
-        StoneBehindStep(
-            seq=seq,
-            id=name,
-            captured_at=captured_at,
-            quality=quality,
-            sieve_size_mm=size_mm,
-            volume_mm3=volume_mm3,
-            influence_percent=100 * volume_mm3 / total_mm3,
-        )
-        for seq, name, captured_at, quality, size_mm, volume_mm3 in rows
-    ]
+    names = [column for column, *_ in rows.description]
+    found = [dict(zip(names, row, strict=True)) for row in rows]
+    return [StoneBehindStep(**each, influence_percent=100 * each["volume_mm3"] / total_mm3) for each in found]
 
 
 def _rows(connection: sqlite3.Connection, condition: str, *values: str) -> list[dict[str, Any]]:

@@ -1,7 +1,7 @@
 """Yardstick of a lot: sieves, specification and range of sizes, by its product or by request."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange, SieveSet
@@ -83,24 +83,21 @@ def _specification(
     shape = _index("shape_category", definition, standards().shape)
     if isinstance(wanted, OwnSpecification):
         passing = {float(aperture): _limits(pair) for aperture, pair in wanted.passing.items()}
-        return Specification(
-            name=wanted.name,
-            source="the site's own",
-            passing=passing,
-            flakiness=_limits(wanted.flakiness) if wanted.flakiness else flakiness,
-            shape=_limits(wanted.shape) if wanted.shape else shape,
-        )
-    if wanted is None:
+        found = Specification(name=wanted.name, source="the site's own", passing=passing)
+        flakiness = _limits(wanted.flakiness) if wanted.flakiness else flakiness
+        shape = _limits(wanted.shape) if wanted.shape else shape
+    elif wanted is None:
         if flakiness is None and shape is None:
             return None
-        return Specification(
-            name="indices alone", source="EN 12620", passing={}, flakiness=flakiness, shape=shape
-        )
-    if wanted in standards().sizes:
-        size = standards().sizes[wanted]
-        return Specification(
-            name=size.name, source=size.source, passing=size.passing, flakiness=flakiness, shape=shape
-        )
+        found = Specification(name="indices alone", source="EN 12620", passing={})
+    elif wanted in standards().sizes:
+        found = standards().sizes[wanted]
+    else:
+        found = _of_category(wanted, definition, sieves)
+    return replace(found, flakiness=flakiness, shape=shape)
+
+
+def _of_category(wanted: str, definition: ProductDefinition | None, sieves: SieveSet) -> Specification:
     category = standards().categories.get(wanted)
     if category is None:
         raise _unknown("specification", wanted, specification_names())
@@ -109,14 +106,7 @@ def _specification(
             f"specification: {wanted} needs a product with lower_mm (d) and upper_mm (D)"
         )
     try:
-        return specification_of(
-            category,
-            definition.lower_mm,
-            definition.upper_mm,
-            sieves.apertures_mm,
-            flakiness=flakiness,
-            shape=shape,
-        )
+        return specification_of(category, definition.lower_mm, definition.upper_mm, sieves.apertures_mm)
     except ValueError as err:
         raise UnknownYardstickError(f"lower_mm, upper_mm: {err}") from err
 

@@ -46,10 +46,7 @@ class UnknownFieldsError(ValueError):
 def chosen_fields(text: str) -> tuple[str, ...]:
     """Return the fields that a list like `lean,optics` names, in the order of a result; some are in every choice.
 
-    Raises
-    ------
-    UnknownFieldsError
-        Names those that there are not.
+    An `UnknownFieldsError` names those that there are not.
     """
     names = {name.strip() for name in text.split(",")} - {""}
     if unknown := sorted(names - {LEAN_NAME, *Result.model_fields}):

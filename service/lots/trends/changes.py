@@ -11,7 +11,6 @@ from pydantic import Field
 from pipeline.frames import rfc3339
 from pipeline.gradation.differences import Difference, difference_in_time, significant
 from pipeline.gradation.estimates import State
-from pipeline.gradation.indices import is_flaky, is_non_cubical
 from pipeline.gradation.influences import (
     Influences,
     rate_influences,
@@ -21,6 +20,8 @@ from pipeline.gradation.influences import (
 from pipeline.gradation.sieves import MeasuredRange
 from service.base.schema import TIME
 from service.base.status import Report
+from service.lots.comparing import ends_of
+from service.lots.figures import SHARES
 from service.lots.trends.diary import DiaryEntry, entries
 from service.lots.trends.stretches import stretch, times_of
 
@@ -126,8 +127,7 @@ def _side(connection: sqlite3.Connection, since: str, until: str, measured: Meas
     found = stretch(connection, since, until, MAX_STONES)
     figures = {
         ChangedFigure.D50: size_influences(found.lot, 50, measured),
-        ChangedFigure.FLAKINESS: share_influences(found.lot, is_flaky(measured)),
-        ChangedFigure.SHAPE: share_influences(found.lot, is_non_cubical(measured)),
+        **{ChangedFigure(name): share_influences(found.lot, of(measured)) for name, of in SHARES.items()},
         ChangedFigure.RATE: rate_influences(times_of(connection, since, until)),
     }
     return _Side(found.n_measured, figures)
@@ -148,9 +148,7 @@ def _figure_changes(before: _Side, after: _Side) -> Iterator[FigureChange]:
             state=_state(found),
             before=None if first is None else first.value,
             after=None if second is None else second.value,
-            difference=None if found is None else found.value,
-            low=None if found is None else found.low,
-            high=None if found is None else found.high,
+            **ends_of(found),
             is_significant=name in clear,
         )
 

@@ -75,22 +75,14 @@ class DiaryEntry:
 
 
 def note_entry(connection: sqlite3.Connection, new: DiaryRequest, who: str) -> DiaryEntry:
-    """Enter something into the diary, with an event and an entry of the audit.
-
-    Raises
-    ------
-    FutureEntryError
-        It is of a time that has not come.
-    """
+    """Enter something into the diary, with an event and an entry of the audit; raise `FutureEntryError`."""
     now = utc_now()
     at = new.at or now
     if at > rfc3339(datetime.now(UTC) + timedelta(seconds=CLOCKS_DIFFER_S)):
         raise FutureEntryError(f"body.at: {at} is in the future, it is {now}")
     with transaction(connection):
         (number,) = connection.execute("SELECT coalesce(max(entry), 0) + 1 FROM diary").fetchone()
-        noted = DiaryEntry(
-            entry=number, at=at, kind=new.kind, text=new.text, value=new.value, who=who, noted_at=now
-        )
+        noted = DiaryEntry(**asdict(new) | {"entry": number, "at": at, "who": who, "noted_at": now})
         connection.execute(
             "INSERT INTO diary VALUES (:entry, :at, :kind, :text, :value, :who, :noted_at)", asdict(noted)
         )
@@ -108,9 +100,6 @@ def entries(
         " WHERE at >= coalesce(?, '') AND at < coalesce(?, '9') ORDER BY at DESC, entry DESC LIMIT ?",
         (since, until, limit),
     )
-    return [
-        DiaryEntry(
-            entry=number, at=at, kind=DiaryKind(kind), text=text, value=value, who=who, noted_at=noted_at
-        )
-        for number, at, kind, text, value, who, noted_at in rows
-    ]
+    names = [column for column, *_ in rows.description]
+    found = [dict(zip(names, row, strict=True)) for row in rows]
+    return [DiaryEntry(**each | {"kind": DiaryKind(each["kind"])}) for each in found]

@@ -10,12 +10,11 @@ from pipeline.frames import rfc3339
 from pipeline.gradation.curve import Inverse, exact_mm, quantile
 from pipeline.gradation.estimates import NOT_MEASURED, Estimate
 from pipeline.gradation.estimators import sample_of, share_percent
-from pipeline.gradation.indices import is_flaky, is_non_cubical
 from pipeline.gradation.sieves import MeasuredRange
-from pipeline.gradation.stones import Lot
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
 from service.base.schema import TIME
 from service.base.status import Report
+from service.lots.figures import SHARES
 from service.lots.lots import LotState
 from service.lots.trends.diary import DiaryEntry, entries
 from service.lots.trends.stretches import stretch
@@ -98,7 +97,8 @@ def trend(connection: sqlite3.Connection, now: str, hours: float, measured: Meas
 
 def _bucket(connection: sqlite3.Connection, since: str, until: str, measured: MeasuredRange) -> TrendBucket:
     found = stretch(connection, since, until, MAX_STONES)
-    d50, flakiness, shape = figures_of_trend(found.lot, measured)
+    sample = sample_of(found.lot, LENGTH_SD_PERCENT / 100)
+    d50 = quantile(sample, 50, Inverse(size_mm=lambda share: exact_mm(sample.lot, share)), measured)
     lasted = datetime.fromisoformat(until) - datetime.fromisoformat(since)
     return TrendBucket(
         since=since,
@@ -106,20 +106,8 @@ def _bucket(connection: sqlite3.Connection, since: str, until: str, measured: Me
         n_stones=found.n_stones,
         measured=found.n_measured,
         stones_per_min=found.n_timed / (lasted / timedelta(minutes=1)),
-        d50_mm=d50,
-        flakiness_percent=flakiness,
-        shape_percent=shape,
-    )
-
-
-def figures_of_trend(lot: Lot, measured: MeasuredRange) -> tuple[Estimate, Estimate, Estimate]:
-    """Return D50, flakiness and shape index of some stones."""
-    sample = sample_of(lot, LENGTH_SD_PERCENT / 100)
-    d50 = quantile(sample, 50, Inverse(size_mm=lambda share: exact_mm(sample.lot, share)), measured)
-    return (
-        NOT_MEASURED if d50 is None else d50.size_mm,
-        share_percent(sample, is_flaky(measured)),
-        share_percent(sample, is_non_cubical(measured)),
+        d50_mm=NOT_MEASURED if d50 is None else d50.size_mm,
+        **{name: share_percent(sample, property_of(measured)) for name, property_of in SHARES.items()},
     )
 
 
