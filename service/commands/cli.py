@@ -6,6 +6,8 @@ A command that fails prints one line to stderr and exits with 1; wrong usage exi
 import sys
 from collections.abc import Callable, Iterable
 from importlib import import_module, metadata
+from importlib.util import find_spec
+from types import ModuleType
 from typing import Annotated, Any
 
 import typer
@@ -42,7 +44,7 @@ COMMANDS = {
     "simulate": "service.commands.simulate",
     "rehearse": "service.commands.rehearse",
     "cameras": "service.commands.cameras",
-    "benchmark": "service.commands.benchmark",
+    "benchmark": "research.benchmark",
 }
 """Module of each command. Its `command` is a function, whose docstring is the help, or a `typer.Typer` of several."""
 
@@ -58,12 +60,29 @@ def build_app(names: Iterable[str] = COMMANDS) -> typer.Typer:
     )
     app.callback()(_options)  # with a callback a single command stays a subcommand
     for name in names:
-        command: typer.Typer | Callable[..., Any] = import_module(COMMANDS[name]).command
+        command: typer.Typer | Callable[..., Any] = imported(COMMANDS[name]).command
         if isinstance(command, typer.Typer):
             app.add_typer(command, name=name)
         else:
             app.command(name)(command)
     return app
+
+
+def is_installed(module: str) -> bool:
+    """True unless the module is one of `research/` in a plant's installation, which has none of it."""
+    return find_spec(module.partition(".")[0]) is not None
+
+
+def imported(module: str) -> ModuleType:
+    """Import a module by its name; raise `UsageError` where it is not installed."""
+    if not is_installed(module):
+        from service.base.errors import UsageError
+
+        name = module.rpartition(".")[2]
+        raise UsageError(
+            f"{name} is not part of a plant's installation; run it in a checkout of the repository"
+        )
+    return import_module(module)
 
 
 def version_line() -> str:
@@ -84,7 +103,10 @@ def main() -> None:
     isolate_numba_cache()
     asked_for = sys.argv[1:2]
     needed = (
-        () if asked_for == ["--version"] else [name for name in asked_for if name in COMMANDS] or COMMANDS
+        ()
+        if asked_for == ["--version"]
+        else [name for name in asked_for if name in COMMANDS]
+        or [name for name, module in COMMANDS.items() if is_installed(module)]
     )
     try:
         build_app(needed)()

@@ -10,9 +10,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from service.processing.models.device import Device
+from service.commands.cli import imported
 from service.processing.models.networks import (
     PUBLISHED,
+    Device,
     ModelEntry,
     default_models_dir,
     fetch_model,
@@ -83,11 +84,9 @@ def train(
     device: Annotated[Device, typer.Option(help="auto is a GPU if PyTorch sees one.")] = Device.AUTO,
 ) -> None:
     """Train our own network on rendered hard cases; needs the extra `train` (PyTorch)."""
-    # imported here: it brings the renderer, which no other command of models needs
-    from service.processing.models.training import TrainingPlan, train_network
-
-    plan = TrainingPlan(seed=seed, n_views=views, n_steps=steps, batch=batch)
-    description = train_network(
+    training = imported("research.training")  # here: it brings the renderer, which no other command needs
+    plan = training.TrainingPlan(seed=seed, n_views=views, n_steps=steps, batch=batch)
+    description = training.train_network(
         plan, out, lambda line: typer.echo(line, err=True), n_jobs=jobs, device=device
     )
     typer.echo(json.dumps(description, indent=2))

@@ -13,12 +13,11 @@ from rich.progress import track
 
 from drivers.files.recording import RecordingSource, RecordingWriter
 from drivers.files.rig_file import read_rig, write_rig
-from pipeline.errors import MeshError
 from pipeline.fall import GRAVITY_MM_S2, Fall
 from pipeline.frames import BundleKind, rfc3339
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.rig.design import as_built, nominal_rig
-from pipeline.synthesis.bodies import Body, SurfaceKind, ball, body_from_mesh, cube, cylinder, sphere
+from pipeline.synthesis.bodies import Body, SurfaceKind, ball, cube, cylinder, sphere
 from pipeline.synthesis.bundles import (
     FIRST_UTC,
     TRIGGER_DELAY_NS,
@@ -32,10 +31,14 @@ from pipeline.synthesis.placement import SPREAD_MM, drop_across, tumble
 from pipeline.synthesis.renderer import simulate_rig
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
 from pipeline.synthesis.truth import truth_of, truth_to_document
-from service.base.errors import UsageError
-from service.commands.looks import GlossOption, InterreflectionOption, SurfacesOption, looks_of
+from service.commands.bodies import (
+    GlossOption,
+    InterreflectionOption,
+    SurfacesOption,
+    body_from_file,
+    looks_of,
+)
 from service.commands.options import with_options
-from service.commands.shape import read_mesh
 
 STANDARDS: dict[str, Callable[[], Body]] = {
     "ball": ball,
@@ -241,7 +244,7 @@ def _single_body(name: str) -> Body:
     kind, _, diameter = name.partition(":")
     if kind == "ball":
         return ball(_ball_diameter_mm(diameter, name))
-    return _body_from_file(name)
+    return body_from_file(name, [*STANDARDS, STONES, *STONE_FORMS], MAX_RADIUS_MM)
 
 
 def _ball_diameter_mm(diameter: str, name: str) -> float:
@@ -256,17 +259,3 @@ def _ball_diameter_mm(diameter: str, name: str) -> float:
             param_hint="--bodies",
         )
     return diameter_mm
-
-
-def _body_from_file(name: str) -> Body:
-    path = Path(name)
-    if not path.is_file():
-        known = ", ".join([*STANDARDS, STONES, *STONE_FORMS])
-        raise typer.BadParameter(f"{name!r} is neither a mesh file nor one of {known}", param_hint="--bodies")
-    try:
-        body = body_from_mesh(path.stem, read_mesh(path))
-    except (UsageError, MeshError) as err:
-        raise UsageError(f"{path}: {err}") from err
-    if body.radius_mm > MAX_RADIUS_MM:
-        raise UsageError(f"{path}: reaches {body.radius_mm:.0f} mm from its centre; is it in mm?")
-    return body

@@ -25,7 +25,7 @@ from support.printed import show
 from pipeline.evaluation.trials import STANDARDS, Trial, random_body
 from pipeline.synthesis.bodies import Looks, SurfaceKind
 from pipeline.synthesis.exposure import LensPreset
-from service.commands.benchmarks.accuracy import BenchPlan, BenchResult, RigName, run_accuracy_bench
+from research.accuracy import BenchPlan, BenchResult, RigName, run_accuracy_bench
 
 STONES = ("dented", "rough", "irregular")
 TEXTURES = (SurfaceKind.MOTTLED, SurfaceKind.GRANITE, SurfaceKind.BANDED)

@@ -20,7 +20,7 @@ from rich.console import Console
 
 from pipeline.synthesis.bodies import SurfaceKind
 from pipeline.synthesis.exposure import LensPreset
-from service.commands.benchmarks.accuracy import run_accuracy_bench
+from research.accuracy import run_accuracy_bench
 
 PLAN = plan_of(seed=41, count=1, lens=LensPreset.F8, rigs=("true",))
 

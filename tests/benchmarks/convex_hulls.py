@@ -36,7 +36,7 @@ from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import stone
 from pipeline.views.prepared import prepare_views
-from service.commands.benchmarks.performance import measured, worker_context
+from research.performance import measured, worker_context
 from service.processing.compiled_code import isolate_numba_cache
 from service.processing.measure_job import initialize
 

@@ -187,7 +187,7 @@ RUNS: Mapping[str, Run] = {
 
 def measure(name: str) -> dict[str, dict[str, Any]]:
     """Run a command, and return its figures by name with where they are from."""
-    from service.commands.benchmarks.performance import processor_gflops
+    from research.performance import processor_gflops
     from service.results.version import ALGORITHM_VERSION
 
     run = RUNS[name]

@@ -31,7 +31,7 @@ from support.small_recording import write_small_recording
 from support.usage import cpu_s, own_mb, rss_mb
 
 from pipeline.segmentation.segmenter_choice import SegmenterKind
-from service.commands.benchmarks.performance import worker_context
+from research.performance import worker_context
 from service.processing.measure_job import initialize
 
 COLD_S, WARM_S = 20.0, 5.0

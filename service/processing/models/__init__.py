@@ -1,1 +1,1 @@
-"""Segmentation networks of this machine: listed, fetched, trained, checked before they are used."""
+"""Segmentation networks of this machine: listed, fetched, checked before they are used."""

@@ -11,6 +11,7 @@ import sys
 import zipfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -25,6 +26,15 @@ from pipeline.segmentation.network import CPU, Network, load_network
 from service.base.paths import user_cache
 
 BUILT_IN = "roi_network"
+
+
+class Device(StrEnum):
+    """A kind of processor that a network is fitted on, as PyTorch names it."""
+
+    AUTO = "auto"
+    """A GPU if PyTorch sees one."""
+    CPU = "cpu"
+    CUDA = "cuda"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

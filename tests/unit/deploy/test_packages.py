@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[3]
 
 def test_the_wheel_has_pages_and_packages_with_their_licence(tmp_path: Path) -> None:
     source = tmp_path / "source"
-    for name in ("service", "drivers", "pipeline"):
+    for name in ("service", "drivers", "pipeline", "research"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", "packages"))
     for name in ("pyproject.toml", "README.md"):
         shutil.copy(ROOT / name, source / name)
@@ -30,6 +30,9 @@ def test_the_wheel_has_pages_and_packages_with_their_licence(tmp_path: Path) -> 
     pages = {path.relative_to(ROOT).as_posix() for path in (ROOT / "service/screens").glob("*/*.*")}
     assert {name for name in pages if "/packages/" not in name and "/__pycache__/" not in name} <= names
     assert {f"service/screens/packages/three/{name}" for name in ("three.module.js", "LICENSE")} <= names
+    assert {"research/benchmark.py", "pipeline/evaluation/trials.py"} <= names, (
+        "a plant's lacks them: deploy/bundle"
+    )
 
 
 def test_without_npm_it_says_so_in_one_line_and_succeeds(tmp_path: Path) -> None:

@@ -6,8 +6,10 @@ import sys
 import tomllib
 from pathlib import Path
 
+import pytest
 from typer.testing import CliRunner
 
+from service.commands import cli
 from service.commands.cli import build_app
 from service.results.version import ALGORITHM_VERSION
 from service.web.version import API_VERSION
@@ -38,3 +40,32 @@ except SystemExit as end:
     line, exit_code_and_imports = printed.splitlines()
     assert re.fullmatch(r"stonefall \S+, API \S+, algorithm \S+", line)
     assert exit_code_and_imports == "0"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [(["benchmark", "--accuracy"], "benchmark"), (["models", "train", "--out", "x.onnx"], "training")],
+)
+def test_a_plants_installation_says_that_it_has_no_experiments(
+    arguments: list[str], name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cli, "find_spec", lambda package: None if package == "research" else package)
+    monkeypatch.setattr(sys, "argv", ["stonefall", *arguments])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert end.value.code == 1
+    assert capsys.readouterr().err == (
+        f"stonefall: {name} is not part of a plant's installation; run it in a checkout of the repository\n"
+    )
+
+
+def test_a_plants_installation_lists_the_commands_that_it_has(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cli, "find_spec", lambda package: None if package == "research" else package)
+    monkeypatch.setattr(sys, "argv", ["stonefall", "--help"])
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert end.value.code == 0
+    printed = capsys.readouterr().out
+    assert "measure" in printed and "benchmark" not in printed

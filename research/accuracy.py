@@ -6,14 +6,11 @@ Images and results follow from the seed alone, whatever the number of processes.
 import multiprocessing
 import os
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from functools import cache
-from math import sqrt
 from pathlib import Path
-from statistics import fmean
 from typing import Any, Literal
 
 import cv2
@@ -76,35 +73,6 @@ class BenchResult:
     """Processor time by method and stage, for each body."""
     paper_drops: tuple[BallDrop, ...] = ()  # as the paper's calibration sees them
     first_view: Image | None = None  # first camera's, of the first drop, if there are to be pictures
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AccuracySummary:
-    """Averages over the trials of one body, rig and method, without failures; mm and percent."""
-
-    body: str
-    rig: str
-    method: Method
-    n: int
-    failures: Mapping[str, int]  # number of trials without a body, by reason
-    mean_mm: float
-    max_mm: float  # mean of the greatest distances
-    signed_mm: float
-    back_mean_mm: float
-    back_max_mm: float
-    mesh_volume_percent: float
-    volume_percent: float
-    volume_rms_percent: float  # of the reported volume
-    area_percent: float
-    # sizes: mean of measured less true, and rms
-    sieve_size_mm: float
-    sieve_size_rms_mm: float
-    max_feret_mm: float
-    max_feret_rms_mm: float
-    min_feret_mm: float
-    min_feret_rms_mm: float
-    thickness_mm: float  # ASTM D4791
-    thickness_rms_mm: float
 
 
 def run_accuracy_bench(
@@ -176,51 +144,6 @@ def run_accuracy_bench(
 def picture_name(body: str, rig: str, method: str) -> str:
     """Return the name of the file with the picture of a body's first pose."""
     return f"{body}-{rig}-{method}.png".replace(" ", "-").translate(str.maketrans("", "", "',"))
-
-
-def summarize(trials: Sequence[Trial], body: str | None = None) -> list[AccuracySummary]:
-    """Return a summary for each body, rig and method, in the order of the trials; `body` is one name for all bodies."""
-    groups: dict[tuple[str, str, Method], list[Trial]] = {}
-    for trial in trials:
-        groups.setdefault((body or trial.body, trial.rig, trial.method), []).append(trial)
-    return [_summary(*key, group) for key, group in groups.items()]
-
-
-def _summary(body: str, rig: str, method: Method, trials: Sequence[Trial]) -> AccuracySummary:
-    distances = [trial.distances for trial in trials if trial.distances is not None]
-    errors = [trial.errors for trial in trials if trial.errors is not None]
-
-    def average(values: Iterable[float]) -> float:
-        found = list(values)
-        return fmean(found) if found else float("nan")
-
-    def rms(values: Iterable[float]) -> float:
-        return sqrt(average(value**2 for value in values))
-
-    return AccuracySummary(
-        body=body,
-        rig=rig,
-        method=method,
-        n=len(trials),
-        failures=Counter(trial.failure for trial in trials if trial.failure is not None),
-        mean_mm=average(d.mean_mm for d in distances),
-        max_mm=average(d.max_mm for d in distances),
-        signed_mm=average(d.signed_mm for d in distances),
-        back_mean_mm=average(d.back_mean_mm for d in distances),
-        back_max_mm=average(d.back_max_mm for d in distances),
-        mesh_volume_percent=average(e.mesh_volume_percent for e in errors),
-        volume_percent=average(e.volume_percent for e in errors),
-        volume_rms_percent=rms(e.volume_percent for e in errors),
-        area_percent=average(e.area_percent for e in errors),
-        sieve_size_mm=average(e.sieve_size_mm for e in errors),
-        sieve_size_rms_mm=rms(e.sieve_size_mm for e in errors),
-        max_feret_mm=average(e.max_feret_mm for e in errors),
-        max_feret_rms_mm=rms(e.max_feret_mm for e in errors),
-        min_feret_mm=average(e.min_feret_mm for e in errors),
-        min_feret_rms_mm=rms(e.min_feret_mm for e in errors),
-        thickness_mm=average(e.thickness_mm for e in errors),
-        thickness_rms_mm=rms(e.thickness_mm for e in errors),
-    )
 
 
 # --- in the worker processes ---

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
@@ -11,31 +11,35 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from pipeline.errors import MeshError
 from pipeline.evaluation.scene import rig_error
+from pipeline.evaluation.summaries import STONES, summaries_of
 from pipeline.evaluation.trials import METHODS, STANDARDS
 from pipeline.rig.design import as_built, nominal_rig
-from pipeline.synthesis.bodies import Body, SurfaceKind, body_from_mesh
+from pipeline.synthesis.bodies import Body, SurfaceKind
 from pipeline.synthesis.exposure import LensPreset
 from pipeline.synthesis.irregular_bodies import IRREGULAR_FORMS
 from pipeline.synthesis.stones import STONE_FORMS
-from service.base.errors import UsageError
-from service.commands.benchmarks import paper as paper_bench
-from service.commands.benchmarks.accuracy import (
-    RIGS,
-    BenchPlan,
-    BenchResult,
-    RigName,
-    run_accuracy_bench,
+from research import paper
+from research.accuracy import RIGS, BenchPlan, BenchResult, RigName, run_accuracy_bench
+from research.performance import run_performance_bench
+from research.scaling import run_scaling_bench
+from research.tables import (
+    accuracy_table,
+    paper_tables,
+    performance_tables,
+    rig_lines,
+    scaling_tables,
+    size_table,
 )
-from service.commands.benchmarks.accuracy_tables import accuracy_table, rig_lines, size_table, summaries_of
-from service.commands.benchmarks.paper import STONES
-from service.commands.benchmarks.performance import run_performance_bench
-from service.commands.benchmarks.scaling import run_scaling_bench
-from service.commands.benchmarks.tables import performance_tables, scaling_tables
-from service.commands.looks import GlossOption, InterreflectionOption, SurfacesOption, looks_of
+from service.base.errors import UsageError
+from service.commands.bodies import (
+    GlossOption,
+    InterreflectionOption,
+    SurfacesOption,
+    body_from_file,
+    looks_of,
+)
 from service.commands.options import with_options
-from service.commands.shape import read_mesh
 from service.processing.models.networks import load_model
 
 IRREGULAR = "irregular-bodies"
@@ -129,7 +133,7 @@ def command(options: BenchmarkOptions) -> None:
         looks=dict.fromkeys(names, looks_of(options.surfaces, options.gloss, options.interreflection)),
         seed=options.seed,
         lens=options.lens,
-        methods=paper_bench.METHODS if options.paper else dict.fromkeys(_rigs(options.rigs), METHODS),
+        methods=paper.METHODS if options.paper else dict.fromkeys(_rigs(options.rigs), METHODS),
         model=options.model if options.paper else None,
         pictures=options.pictures,
     )
@@ -137,21 +141,17 @@ def command(options: BenchmarkOptions) -> None:
         load_model(options.model)  # better known now than in every process
     result = _with_progress("measuring", lambda on_progress: run_accuracy_bench(plan, on_progress))
     if options.paper and options.pictures is not None:
-        paper_bench.write_pictures(plan, result, options.pictures)
+        paper.write_pictures(plan, result, options.pictures)
     if options.as_json:
-        found = paper_bench.document(plan, result) if options.paper else _document(plan, result)
+        found = paper.document(plan, result) if options.paper else _document(plan, result)
         typer.echo(json.dumps(without_nan(found), indent=2, allow_nan=False))
         return
     console = Console(width=None if sys.stdout.isatty() else FILE_TABLE_WIDTH)
     for line in rig_lines(plan, result):
         console.print(line, highlight=False)
-    if options.paper:
-        console.print(paper_bench.distance_table(plan, paper_bench.compare(result)))
-        console.print(paper_bench.isolevel_table(result))
-        console.print(paper_bench.time_table(result))
-        return
-    console.print(accuracy_table(plan, result))
-    console.print(size_table(plan, result))
+    of_accuracy = (accuracy_table, size_table)
+    tables = paper_tables(plan, result) if options.paper else [table(plan, result) for table in of_accuracy]
+    console.print(*tables)
 
 
 def _time_stones(poses: int, seed: int, *, scaling: bool, as_json: bool) -> None:
@@ -166,9 +166,7 @@ def _time_stones(poses: int, seed: int, *, scaling: bool, as_json: bool) -> None
     if as_json:
         typer.echo(json.dumps(document, indent=2))
         return
-    console = Console(width=None if sys.stdout.isatty() else FILE_TABLE_WIDTH)
-    for table in tables:
-        console.print(table)
+    Console(width=None if sys.stdout.isatty() else FILE_TABLE_WIDTH).print(*tables)
 
 
 def _document(plan: BenchPlan, result: BenchResult) -> dict[str, Any]:
@@ -188,7 +186,11 @@ def _document(plan: BenchPlan, result: BenchResult) -> dict[str, Any]:
             for error in [rig_error(report.rig, true_rig)]
         },
         "refused": dict(result.refused),
-        "summaries": [asdict(summary) for group in summaries_of(plan, result).values() for summary in group],
+        "summaries": [
+            summary.document()
+            for summaries in summaries_of(plan.poses, result.trials).values()
+            for summary in summaries
+        ],
         "trials": [asdict(trial) for trial in result.trials],
     }
 
@@ -205,15 +207,19 @@ def without_nan(values: Any) -> Any:
 def _bodies(text: str) -> tuple[tuple[str, ...], dict[str, Body]]:
     """Return the names of the bodies, each once, and the bodies that were read from mesh files."""
     groups = {STONES: tuple(STONE_FORMS), IRREGULAR: tuple(IRREGULAR_FORMS)}
+    known = [*STANDARDS, *groups, *STONE_FORMS, *IRREGULAR_FORMS]
+    limit = f", more than the {MAX_RADIUS_MM:g} mm that the cameras see"
     own_bodies: dict[str, Body] = {}
     names: list[str] = []
     for name in filter(None, (part.strip() for part in text.split(","))):
         if name in groups:
             names += groups[name]
-        elif name in STANDARDS or name in STONE_FORMS or name in IRREGULAR_FORMS:
+        elif name in known:
             names.append(name)
         else:
-            body = _body_from_file(name, [*STANDARDS, *groups, *STONE_FORMS, *IRREGULAR_FORMS])
+            body = body_from_file(name, known, MAX_RADIUS_MM, limit)
+            if body.name in known:
+                raise UsageError(f"{name}: has the name of a generated body; rename the file")
             if body.name in own_bodies:
                 raise UsageError(f"{name}: another mesh file is also named {body.name}; rename one of them")
             own_bodies[body.name] = body
@@ -221,26 +227,6 @@ def _bodies(text: str) -> tuple[tuple[str, ...], dict[str, Body]]:
     if not names:
         raise typer.BadParameter("names no body", param_hint="--bodies")
     return tuple(dict.fromkeys(names)), own_bodies
-
-
-def _body_from_file(name: str, known: Sequence[str]) -> Body:
-    path = Path(name)
-    if not path.is_file():
-        raise typer.BadParameter(
-            f"{name!r} is neither a mesh file nor one of {', '.join(known)}", param_hint="--bodies"
-        )
-    try:
-        body = body_from_mesh(path.stem, read_mesh(path))
-    except (UsageError, MeshError) as err:
-        raise UsageError(f"{path}: {err}") from err
-    if path.stem in known:
-        raise UsageError(f"{path}: has the name of a generated body; rename the file")
-    if body.radius_mm > MAX_RADIUS_MM:
-        raise UsageError(
-            f"{path}: reaches {body.radius_mm:.0f} mm from its centre, more than the {MAX_RADIUS_MM:g} mm that"
-            " the cameras see; is it in mm?"
-        )
-    return body
 
 
 def _rigs(text: str) -> tuple[RigName, ...]:

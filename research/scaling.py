@@ -27,7 +27,7 @@ from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import stone
 from pipeline.views.prepared import prepare_views
-from service.commands.benchmarks.performance import FORM, measured, worker_context
+from research.performance import FORM, measured, worker_context
 from service.processing.background_files import write_background
 from service.processing.measure_job import (
     MeasureJob,

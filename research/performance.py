@@ -54,6 +54,12 @@ MATRIX_SIZE = 512
 """Rows of the single-precision matrices whose product tells the present speed of the processor."""
 
 
+MEDIANS = (
+    "hull_ms", "photo_ms", "refine_ms", "texture_ms", "mesh_ms", "way_ms", "way_cpu_ms", "gflops",
+)  # fmt: skip
+"""Figures of which a size of stones has the median under the same name."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoneTimes:
     """Times of one stone."""
@@ -129,15 +135,8 @@ def _summary(size_mm: float, stones: list[StoneTimes]) -> SizeTimes:
         stages_ms={stage: median(each.stages_ms[stage] for each in stones) for stage in stones[0].stages_ms},
         cpu_ms=median(totals_ms),
         cpu_p95_ms=float(np.quantile(totals_ms, 0.95)),
-        hull_ms=median(each.hull_ms for each in stones),
-        photo_ms=median(each.photo_ms for each in stones),
-        refine_ms=median(each.refine_ms for each in stones),
-        texture_ms=median(each.texture_ms for each in stones),
-        mesh_ms=median(each.mesh_ms for each in stones),
-        way_ms=median(each.way_ms for each in stones),
         way_p95_ms=float(np.quantile([each.way_ms for each in stones], 0.95)),
-        way_cpu_ms=median(each.way_cpu_ms for each in stones),
-        gflops=median(each.gflops for each in stones),
+        **{name: median(getattr(each, name) for each in stones) for name in MEDIANS},
     )
 
 

@@ -12,10 +12,10 @@ from typer.testing import CliRunner, Result
 
 from pipeline.evaluation.surface_distances import SurfaceDistances
 from pipeline.evaluation.trials import METHODS, ShapeErrors, Trial
-from service.commands.benchmarks import performance as performance_bench
-from service.commands.benchmarks import scaling as scaling_bench
-from service.commands.benchmarks.accuracy import BenchPlan, BenchResult
-from service.commands.benchmarks.accuracy_tables import size_table
+from research import performance as performance_bench
+from research import scaling as scaling_bench
+from research.accuracy import BenchPlan, BenchResult
+from research.tables import size_table
 from service.commands.cli import build_app
 
 RUNNER = CliRunner()

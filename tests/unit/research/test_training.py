@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from research.training import TrainingPlan, train_network
 from service.base.errors import UsageError
-from service.processing.models.training import TrainingPlan, train_network
 
 
 @pytest.mark.skipif(find_spec("torch") is not None, reason="PyTorch is installed")

@@ -34,7 +34,7 @@ from pipeline.training.image_layers import (
 from pipeline.training.samples import Samples
 from pipeline.training.scores import ValidationView, score, validation_view
 from service.base.errors import UsageError
-from service.processing.models.device import Device
+from service.processing.models.networks import Device
 
 WALLS_PER_BODY = 0.4
 """Rendered views of the empty rig for each view of a stone."""

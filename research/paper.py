@@ -1,43 +1,28 @@
-"""The paper repeated on rendered images: its Tables 1 to 3 and Figures 7 to 9 and 11, beside ours on the same images.
+"""The paper repeated on rendered images: its methods and times, and Figures 7, 8, 9 and 11, beside ours.
 
 https://doi.org/10.1051/wujns/2024294301. What is compared is like for like: same images, same bodies, same truth. The
 published figures are of real parts in a real rig, and stand beside them for orientation only.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
 import cv2
 import numpy as np
-from rich.table import Table
 
 from pipeline.calibration import BallDrop, CalibrationReport
 from pipeline.calibration.paper import ball_points_mm
 from pipeline.evaluation.distance_picture import Picture, with_lettering
+from pipeline.evaluation.summaries import compare_with_paper, summarize
 from pipeline.evaluation.trials import ISOLEVELS, STANDARDS, Method
 from pipeline.frames import Image
 from pipeline.rig.cameras import CameraCalibration
 from pipeline.synthesis.stones import STONE_FORMS
-from service.commands.benchmarks.accuracy import (
-    AccuracySummary,
-    BenchPlan,
-    BenchResult,
-    RigName,
-    picture_name,
-    summarize,
-)
+from research.accuracy import BenchPlan, BenchResult, RigName, picture_name
 
-STONES = "stones"
-PUBLISHED_MM: Mapping[str, tuple[float, float | None]] = {
-    "sphere": (0.233, 0.655),
-    "cylinder": (0.268, 0.773),
-    "cube": (0.289, 0.374),
-    STONES: (0.434, None),
-}
-"""Mean and greatest distance of its Tables 2 and 3: real parts, real stones."""
 PUBLISHED_S = {"segmentation": 16 / 4.95, "reconstruction": 0.6}
 """Times of its section 2 for 16 views: U2-Net at 4.95 images a second on a GPU, and all that follows."""
 METHODS: Mapping[RigName, tuple[Method, ...]] = {
@@ -46,97 +31,6 @@ METHODS: Mapping[RigName, tuple[Method, ...]] = {
 }
 RED, BLUE, GREEN = (200, 40, 40), (40, 70, 210), (20, 140, 50)
 INK, WHITE = (60, 60, 60), (255, 255, 255)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Compared:
-    """Distances to the true surface of one kind of body, mm: published, and by both methods on the same images."""
-
-    body: str
-    n: int
-    published_mm: float
-    published_max_mm: float | None
-    paper_mm: float
-    """By the paper's method as a whole."""
-    paper_max_mm: float
-    paper_field_mm: float
-    """By its calibration and its field on our silhouettes."""
-    ours_mm: float
-    ours_max_mm: float
-
-    @property
-    def ratio(self) -> float:
-        """Error of the paper's method by the error of ours, on the same images."""
-        return self.paper_mm / self.ours_mm
-
-
-def compare(result: BenchResult) -> list[Compared]:
-    """Return the rows of the paper's Tables 2 and 3 with three columns each."""
-    found = []
-    for body in (*STANDARDS, STONES):
-        trials = [t for t in result.trials if t.body == body or (body == STONES and t.body in STONE_FORMS)]
-        by_method = {(each.rig, each.method): each for each in summarize(trials, body)}
-        if ("paper", "paper's method") not in by_method or ("ours", "photo") not in by_method:
-            continue
-        paper, field = by_method["paper", "paper's method"], by_method["paper", "paper's field"]
-        ours = by_method["ours", "photo"]
-        mean_mm, max_mm = PUBLISHED_MM[body]
-        found.append(
-            Compared(
-                body=body,
-                n=ours.n,
-                published_mm=mean_mm,
-                published_max_mm=max_mm,
-                paper_mm=paper.mean_mm,
-                paper_max_mm=paper.max_mm,
-                paper_field_mm=field.mean_mm,
-                ours_mm=ours.mean_mm,
-                ours_max_mm=ours.max_mm,
-            )
-        )
-    return found
-
-
-def distance_table(plan: BenchPlan, compared: Sequence[Compared]) -> Table:
-    """Return the paper's Tables 2 and 3, with the paper's method and ours on the same images."""
-    table = Table(
-        title=f"distance to the true surface, mm: mean (mean of the greatest); lens {plan.lens}, seed {plan.seed}",
-        caption="published: real parts and stones. paper's method: U2-Net's masks, Algorithm 1 from 8 balls, 256^3"
-        " voxels counted, scikit-image at 15.5. its field: the same on our silhouettes. ratio: paper's by ours.",
-    )
-    table.add_column("body (n)", no_wrap=True)
-    for column in ("published", "paper's method", "its field, our silhouettes", "ours", "ratio"):
-        table.add_column(column, justify="right", no_wrap=True)
-    for each in compared:
-        table.add_row(
-            f"{each.body} ({each.n})",
-            _pair(each.published_mm, each.published_max_mm),
-            _pair(each.paper_mm, each.paper_max_mm),
-            f"{each.paper_field_mm:.3f}",
-            f"{each.ours_mm:.4f} ({each.ours_max_mm:.2f})",
-            f"{each.ratio:.0f}",
-        )
-    return table
-
-
-def isolevel_table(result: BenchResult) -> Table:
-    """Return the table of isolevels: mean distance, mm, and volume error, %, at 15.1, 15.5 and 15.9 for each body."""
-    table = Table(
-        title="the paper's method by isolevel: mean distance, mm, and error of the mesh's volume, %",
-        caption="all on the same masks; between 15 and 16 the surface moves by less than a voxel, 0.195 mm",
-    )
-    table.add_column("body", no_wrap=True)
-    for isolevel in sorted(ISOLEVELS.values()):
-        table.add_column(f"{isolevel:g}", justify="right")
-    by_body: dict[str, dict[Method, AccuracySummary]] = {}
-    for body in (*STANDARDS, *STONE_FORMS):
-        for each in summarize([trial for trial in result.trials if trial.body == body]):
-            by_body.setdefault(body, {})[each.method] = each
-    for body, summaries in by_body.items():
-        levels = sorted((ISOLEVELS[name], each) for name, each in summaries.items() if name in ISOLEVELS)
-        cells = (f"{each.mean_mm:.3f}, {each.mesh_volume_percent:+.1f}" for _, each in levels)
-        table.add_row(body, *cells)
-    return table
 
 
 def stage_seconds(result: BenchResult) -> dict[str, dict[str, float]]:
@@ -152,30 +46,15 @@ def stage_seconds(result: BenchResult) -> dict[str, dict[str, float]]:
     return found
 
 
-def time_table(result: BenchResult) -> Table:
-    """Return the speed of the paper's Table 1 and section 2 beside both methods here."""
-    table = Table(
-        title="seconds a stone, 16 views",
-        caption="published: i7-10700F, U2-Net on an RTX 3060. Here: median of the processor time on one core; "
-        "reconstruction of ours has the estimate, the refinement and all measures in it.",
-    )
-    found = stage_seconds(result)
-    for column in ("", "published", *found):
-        table.add_column(column, justify="right" if column else "left")
-    for stage, published_s in PUBLISHED_S.items():
-        table.add_row(stage, f"{published_s:.2f}", *(f"{times[stage]:.3f}" for times in found.values()))
-    return table
-
-
 def document(plan: BenchPlan, result: BenchResult) -> dict[str, Any]:
     """Return everything that the tables have, JSON-ready."""
     return {
         "seed": plan.seed,
         "lens": plan.lens,
         "model": plan.model,
-        "distances": [asdict(each) | {"ratio": each.ratio} for each in compare(result)],
+        "distances": [asdict(each) | {"ratio": each.ratio} for each in compare_with_paper(result.trials)],
         "isolevels": [
-            {"isolevel": ISOLEVELS[each.method], **asdict(each)}
+            {"isolevel": ISOLEVELS[each.method], **each.document()}
             for each in summarize(result.trials)
             if each.method in ISOLEVELS
         ],
@@ -203,10 +82,6 @@ def write_pictures(plan: BenchPlan, result: BenchResult, folder: Path) -> list[P
             written.append(folder / f"{name}.png")
             cv2.imwrite(str(written[-1]), np.hstack(columns))
     return written
-
-
-def _pair(mean_mm: float, max_mm: float | None) -> str:
-    return f"{mean_mm:.3f}" + ("" if max_mm is None else f" ({max_mm:.2f})")
 
 
 def _column(folder: Path, body: str) -> Picture | None:

@@ -1,1 +1,0 @@
-"""`stonefall benchmark`: how true and how fast, beside the paper's method."""
