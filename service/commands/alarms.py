@@ -6,10 +6,12 @@ from typing import Annotated
 import typer
 
 from service.base.language import Language
-from service.commands.daemon_client import DEFAULT_URL, AsJson, Key, Url, ask
+from service.commands.daemon_client import AsJson, DaemonClient
+from service.commands.options import with_options
 from service.health.alarms.printed import as_text
 
 
+@with_options
 def command(
     acknowledge: Annotated[
         int | None,
@@ -20,14 +22,14 @@ def command(
         typer.Option("--history", help="Print the latest 100 instead, newest first, with those that ended."),
     ] = False,
     language: Annotated[Language, typer.Option(help="Of causes and actions.")] = Language.ENGLISH,
-    url: Url = DEFAULT_URL,
-    key: Key = None,
+    *,
+    daemon: DaemonClient,
     as_json: AsJson = False,
 ) -> None:
     """Print the alarms of a running daemon, the most urgent first, each with its cause and what to do."""
     if acknowledge is not None:
-        ask(url, f"/alarms/{acknowledge}/acknowledge", key, {})
-    found = ask(url, f"/alarms{'/history' if is_history else ''}?language={language}", key)
+        daemon.ask(f"/alarms/{acknowledge}/acknowledge", {})
+    found = daemon.ask(f"/alarms{'/history' if is_history else ''}?language={language}")
     if as_json:
         typer.echo(json.dumps(found))
         return

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from service.calibration.states import OPEN, CalibrationAction, CalibrationState
 from service.calibration.verifications import VerificationState
-from service.commands.daemon_client import DEFAULT_URL, AsJson, DaemonError, Key, Url, ask
+from service.commands.daemon_client import AsJson, DaemonClient, DaemonError
 from service.commands.options import with_options
 
 FOLLOW_S = 1.0
@@ -40,14 +40,11 @@ class StartOptions:
     note: Note = None
     by: By = None
     follow: Follow = False
-    url: Url = DEFAULT_URL
-    key: Key = None
-    as_json: AsJson = False
 
 
 @command.command()
 @with_options
-def start(options: StartOptions) -> None:
+def start(options: StartOptions, daemon: DaemonClient, as_json: AsJson = False) -> None:
     """Open a calibration. Drop the ball through the whole field of view, then `solve`."""
     wanted = {
         "ball_diameters_mm": options.ball_diameter_mm or [],
@@ -55,38 +52,31 @@ def start(options: StartOptions) -> None:
         "note": options.note,
         "by": options.by,
     }
-    record = ask(options.url, "/calibrations", options.key, wanted)
-    if options.as_json and not options.follow:
+    record = daemon.ask("/calibrations", wanted)
+    if as_json and not options.follow:
         typer.echo(json.dumps(record))
         return
     typer.echo(f"calibration {record['id']}: everything that falls now is observed")
     if options.follow:
-        _follow(options.url, options.key, record["id"], options.as_json)
+        _follow(daemon, record["id"], as_json)
 
 
 @command.command()
-def status(
-    name: Name,
-    follow: Follow = False,
-    url: Url = DEFAULT_URL,
-    key: Key = None,
-    as_json: AsJson = False,
-) -> None:
+@with_options
+def status(name: Name, follow: Follow = False, *, daemon: DaemonClient, as_json: AsJson = False) -> None:
     """Show a calibration: its drops, their coverage, the residuals before and after."""
     if follow:
-        _follow(url, key, name, as_json)
-        return
-    details = ask(url, f"/calibrations/{name}", key)
-    _show(details, as_json)
+        _follow(daemon, name, as_json)
+    else:
+        _show(daemon.ask(f"/calibrations/{name}"), as_json)
 
 
 @command.command()
-def solve(
-    name: Name, by: By = None, url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False
-) -> None:
+@with_options
+def solve(name: Name, by: By = None, *, daemon: DaemonClient, as_json: AsJson = False) -> None:
     """Solve a calibration from the drops so far, and show the result."""
-    ask(url, f"/calibrations/{name}/solve", key, {"by": by})
-    while (details := ask(url, f"/calibrations/{name}", key))["state"] == CalibrationState.SOLVING:
+    daemon.ask(f"/calibrations/{name}/solve", {"by": by})
+    while (details := daemon.ask(f"/calibrations/{name}"))["state"] == CalibrationState.SOLVING:
         time.sleep(0.2)
     if details["state"] != CalibrationState.SOLVED:
         raise DaemonError(f"calibration {name} is {details['state']}: {details['detail']}")
@@ -97,10 +87,9 @@ def _decision(action: CalibrationAction, text: str) -> None:
     """Add the command of an action that takes effect at once; `text` is its help."""
 
     @command.command(action, help=text)
-    def decide(
-        name: Name, by: By = None, url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False
-    ) -> None:
-        record = ask(url, f"/calibrations/{name}/{action}", key, {"by": by})
+    @with_options
+    def decide(name: Name, by: By = None, *, daemon: DaemonClient, as_json: AsJson = False) -> None:
+        record = daemon.ask(f"/calibrations/{name}/{action}", {"by": by})
         state = "in use" if record["is_active"] else record["state"]
         typer.echo(json.dumps(record) if as_json else f"calibration {name} is {state}")
 
@@ -115,18 +104,19 @@ _decision(
 
 
 @command.command()
+@with_options
 def verify(
     diameter_mm: Annotated[float, typer.Option(help="Diameter of the ball, mm.")] = 15.0,
     count: Annotated[int, typer.Option(help="Number of drops to measure.")] = 5,
     note: Note = None,
     by: By = None,
-    url: Url = DEFAULT_URL,
-    key: Key = None,
+    *,
+    daemon: DaemonClient,
     as_json: AsJson = False,
 ) -> None:
     """Verify the calibration in use with the next balls; exit 1 when it fails."""
     wanted = {"diameter_mm": diameter_mm, "count": count, "note": note, "by": by}
-    found = ask(url, "/verifications", key, wanted)
+    found = daemon.ask("/verifications", wanted)
     typer.echo(f"verification {found['id']}: drop the ball {count} times", err=as_json)
     n_shown = 0
     while True:
@@ -137,7 +127,7 @@ def verify(
         if found["state"] != VerificationState.COLLECTING:
             break
         time.sleep(FOLLOW_S)
-        found = ask(url, f"/verifications/{found['id']}", key)
+        found = daemon.ask(f"/verifications/{found['id']}")
     if as_json:
         typer.echo(json.dumps(found))
     if found["state"] != VerificationState.PASSED:
@@ -152,9 +142,10 @@ def verify(
 
 
 @command.command("list")
-def list_all(url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False) -> None:
+@with_options
+def list_all(daemon: DaemonClient, as_json: AsJson = False) -> None:
     """List all calibrations, newest first."""
-    known = ask(url, "/calibrations", key)
+    known = daemon.ask("/calibrations")
     if as_json:
         typer.echo(json.dumps(known))
         return
@@ -173,11 +164,11 @@ def list_all(url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False) -
     Console().print(table)
 
 
-def _follow(url: str, key: str | None, name: str, as_json: bool) -> None:
+def _follow(daemon: DaemonClient, name: str, as_json: bool) -> None:
     """Print each drop as it is observed, until the calibration is accepted, rejected or cancelled."""
     n_shown = 0
     while True:
-        details = ask(url, f"/calibrations/{name}", key)
+        details = daemon.ask(f"/calibrations/{name}")
         for number, ball in enumerate(details["drops"][n_shown:], start=n_shown + 1):
             typer.echo(json.dumps(ball) if as_json else _line(number, ball, details))
             n_shown = number

@@ -18,13 +18,13 @@ COMMANDS = {
     "init": "service.commands.init",
     "serve": "service.commands.serve",
     "check-config": "service.commands.check_config",
-    "check-host": "service.commands.check_host",
+    "check-host": "service.commands.doctor",
     "doctor": "service.commands.doctor",
     "diagnostics": "service.commands.diagnostics",
     "compile": "service.commands.compile",
     "synthesize": "service.commands.synthesize",
-    "import": "service.commands.import_images",
-    "export": "service.commands.export_images",
+    "import": "service.commands.images",
+    "export": "service.commands.images",
     "calibrate": "service.commands.calibrate",
     "calibration": "service.commands.calibration",
     "measure": "service.commands.measure",
@@ -33,12 +33,12 @@ COMMANDS = {
     "report": "service.commands.report",
     "models": "service.commands.models",
     "record": "service.commands.record",
-    "audit": "service.commands.audit",
+    "audit": "service.commands.store",
     "keys": "service.commands.keys",
-    "backup": "service.commands.backup",
+    "backup": "service.commands.store",
     "remeasure": "service.commands.remeasure",
     "compare": "service.commands.compare",
-    "restore": "service.commands.restore",
+    "restore": "service.commands.store",
     "shape": "service.commands.shape",
     "fit-volume": "service.commands.fit_volume",
     "simulate": "service.commands.simulate",
@@ -46,7 +46,9 @@ COMMANDS = {
     "cameras": "service.commands.cameras",
     "benchmark": "research.benchmark",
 }
-"""Module of each command. Its `command` is a function, whose docstring is the help, or a `typer.Typer` of several."""
+"""Module of each command. Its `command`, or `NAME_command` of a module that has several, is a function, whose docstring
+is the help, or a `typer.Typer` of further commands.
+"""
 
 
 def build_app(names: Iterable[str] = COMMANDS) -> typer.Typer:
@@ -60,7 +62,10 @@ def build_app(names: Iterable[str] = COMMANDS) -> typer.Typer:
     )
     app.callback()(_options)  # with a callback a single command stays a subcommand
     for name in names:
-        command: typer.Typer | Callable[..., Any] = imported(COMMANDS[name]).command
+        module = imported(COMMANDS[name])
+        command: typer.Typer | Callable[..., Any] = (
+            getattr(module, f"{name.replace('-', '_')}_command", None) or module.command
+        )
         if isinstance(command, typer.Typer):
             app.add_typer(command, name=name)
         else:

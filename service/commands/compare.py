@@ -5,7 +5,8 @@ algorithm versions or revisions of the stones of a running daemon. Exits with 1 
 """
 
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,10 +16,9 @@ from rich.console import Console
 from rich.table import Table
 
 from service.base.errors import UsageError
-from service.commands.daemon_client import DEFAULT_URL, Key, Url
+from service.commands.daemon_client import DaemonClient
 from service.commands.options import with_options
-from service.commands.results_file import read_results
-from service.commands.revised_stones import revisions_of_lot
+from service.commands.results_folder import read_results
 from service.lots.comparing import ComparedFigure, compared_figures
 from service.lots.evaluation import figures_of
 from service.lots.stone_changes import Group, Records, StoneChanges, beyond_limits, stone_changes
@@ -26,8 +26,12 @@ from service.lots.stored_stones import stones_in
 from service.lots.yardsticks import Request, UnknownYardstickError
 from service.results.version import CHANGES
 
+PAGE = 500
+REVISION = re.compile("r([0-9]{1,6})")
 NAMED = 10
 """Stones whose outcome or quality is another one that are named for people; `--json` names all."""
+
+Stones = dict[str, dict[str, Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +60,14 @@ class CompareOptions:
         bool, typer.Option("--same-words", help="Outcome, reason and quality of each stone must be equal.")
     ] = False
     sieve_set: Annotated[str, typer.Option("--sieves", help="Name of a sieve set.")] = "stonefall"
-    url: Url = DEFAULT_URL
-    key: Key = None
-    as_json: Annotated[bool, typer.Option("--json", help="Print all differences as JSON.")] = False
 
 
 @with_options
-def command(options: CompareOptions) -> None:
+def command(
+    options: CompareOptions,
+    daemon: DaemonClient,
+    as_json: Annotated[bool, typer.Option("--json", help="Print all differences as JSON.")] = False,
+) -> None:
     """Compare two measurements of the same stones: volume, sieve size, axes, shape, quality, and the lot's curve.
 
     What each version of the algorithm changed in results: service/remeasuring/README.md.
@@ -70,7 +75,7 @@ def command(options: CompareOptions) -> None:
     if options.lot is None:
         before, after = (_by_bundle(Path(path)) for path in (options.old, options.new))
     else:
-        before, after = revisions_of_lot(options.url, options.key, options.lot, (options.old, options.new))
+        before, after = revisions_of_lot(daemon, options.lot, (options.old, options.new))
     changes = stone_changes(before, after)
     if not changes.n_common:
         raise UsageError(f"{options.old} and {options.new} have no stone in common")
@@ -90,7 +95,7 @@ def command(options: CompareOptions) -> None:
             else []
         ),
     ]
-    if options.as_json:
+    if as_json:
         lots = [figure.model_dump(mode="json") for figure in figures]
         typer.echo(json.dumps({"stones": asdict(changes), "lot": lots, "beyond": beyond}))
     else:
@@ -101,12 +106,49 @@ def command(options: CompareOptions) -> None:
         raise typer.Exit(1)
 
 
-def _by_bundle(results: Path) -> dict[str, dict[str, Any]]:
+def _by_bundle(results: Path) -> Stones:
     """Return the records of a folder by the names of their bundles, which are the stones' ids here."""
     records = {record["bundle"]: {**record, "id": record["bundle"]} for record in read_results(results)}
     if not records:
         raise UsageError(f"{results} has no results")
     return records
+
+
+def revisions_of_lot(daemon: DaemonClient, lot: str, sides: tuple[str, str]) -> tuple[Stones, Stones]:
+    """Return the records by id, of each stone the newest that is of a side: an algorithm version, or rN.
+
+    Raises
+    ------
+    UsageError
+        A side has no stone in the lot.
+    """
+    found: tuple[Stones, Stones] = ({}, {})
+    wanted = [_is_of(side) for side in sides]
+    for stone in daemon.pages("/particles", {"lot": lot, "kind": "particle", "limit": PAGE}):
+        for record in _newest_first(daemon, stone):
+            for stones, is_of in zip(found, wanted, strict=True):
+                if record["id"] not in stones and is_of(record):
+                    stones[record["id"]] = record
+            if all(record["id"] in stones for stones in found):
+                break
+    for side, stones in zip(sides, found, strict=True):
+        if not stones:
+            raise UsageError(f"no stone of lot {lot} has a result of {side}")
+    return found
+
+
+def _is_of(side: str) -> Callable[[dict[str, Any]], bool]:
+    if revision := REVISION.fullmatch(side):
+        return lambda record: bool(record["revision"] == int(revision[1]))
+    return lambda record: bool(record["algorithm_version"] == side)
+
+
+def _newest_first(daemon: DaemonClient, record: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield a stone's results, from the newest back to the first that is kept."""
+    yield record
+    while record["revises"] is not None:
+        record = daemon.ask(f"/particles/{record['revises']}")
+        yield record
 
 
 def _figures(sides: Sequence[Records], sieve_set: str) -> list[ComparedFigure]:

@@ -4,6 +4,7 @@ import json
 import urllib.error
 import urllib.request
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from http.client import HTTPException
 from typing import Annotated, Any
 from urllib.parse import urlencode, urlsplit
@@ -14,6 +15,7 @@ from service.base.errors import ServiceError
 from service.web.version import BASE
 
 TIMEOUT_S = 30.0
+
 DEFAULT_URL = "http://127.0.0.1:8080"
 
 Url = Annotated[str, typer.Option(help="Address of the daemon.", envvar="STONEFALL_URL")]
@@ -38,68 +40,73 @@ class DaemonError(ServiceError):
         self.kind = kind
 
 
-def ask(
-    url: str,
-    path: str,
-    key: str | None,
-    body: Mapping[str, Any] | None = None,
-    *,
-    method: str | None = None,
-    timeout_s: float = TIMEOUT_S,
-) -> dict[str, Any]:
-    """Return the answer to a GET request, or with a `body` to a POST request; members that are None are not sent.
+@dataclass(frozen=True, slots=True)
+class DaemonClient:
+    """A running daemon, and the options that name it."""
 
-    Raises
-    ------
-    DaemonError
-        It does not answer, or refuses; carries the reason it gives.
-    """
-    content = fetch(url, path, key, body, method=method, timeout_s=timeout_s)
-    try:
-        return dict(json.loads(content))
-    except ValueError as err:
-        raise DaemonError(f"no answer from {url}: {err}: is the daemon running there?") from None
+    url: Url = DEFAULT_URL
+    key: Key = None
 
+    def ask(
+        self,
+        path: str,
+        body: Mapping[str, Any] | None = None,
+        *,
+        method: str | None = None,
+        timeout_s: float = TIMEOUT_S,
+    ) -> dict[str, Any]:
+        """Return the answer to a GET request, or with a `body` to a POST request; members that are None are not sent.
 
-def all_pages(url: str, path: str, key: str | None, query: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield the items of a list, page by page; raise `DaemonError` as `ask` does."""
-    cursor: dict[str, str] | None = {}
-    while cursor is not None:
-        page = ask(url, f"{path}?{urlencode({**query, **cursor})}", key)
-        yield from page["items"]
-        cursor = None if page["next_cursor"] is None else {"cursor": page["next_cursor"]}
+        Raises
+        ------
+        DaemonError
+            It does not answer, or refuses; carries the reason it gives.
+        """
+        content = self.fetch(path, body, method=method, timeout_s=timeout_s)
+        try:
+            return dict(json.loads(content))
+        except ValueError as err:
+            raise self._silence(err) from None
 
+    def pages(self, path: str, query: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+        """Yield the items of a list, page by page; raise `DaemonError` as `ask` does."""
+        cursor: dict[str, str] | None = {}
+        while cursor is not None:
+            page = self.ask(f"{path}?{urlencode({**query, **cursor})}")
+            yield from page["items"]
+            cursor = None if page["next_cursor"] is None else {"cursor": page["next_cursor"]}
 
-def fetch(
-    url: str,
-    path: str,
-    key: str | None,
-    body: Mapping[str, Any] | None = None,
-    *,
-    method: str | None = None,
-    timeout_s: float = TIMEOUT_S,
-) -> bytes:
-    """Return the content of an answer, undecoded; otherwise as `ask`."""
-    if urlsplit(url).scheme not in ("http", "https"):
-        raise DaemonError(f"--url {url}: must begin with http:// or https://")
-    headers: dict[str, str] = {}
-    data = None
-    if body is not None:
-        headers["Content-Type"] = "application/json"
-        data = json.dumps({name: value for name, value in body.items() if value is not None}).encode()
-    if key is not None:
-        headers["Authorization"] = f"Bearer {key}"
-    address = f"{url.rstrip('/')}{BASE}{path}"
-    request = urllib.request.Request(address, data, headers, method=method)  # noqa: S310 - http or https, see above
-    try:
-        with urllib.request.urlopen(request, timeout=timeout_s) as answer:  # noqa: S310 - as above
-            return bytes(answer.read())
-    except urllib.error.HTTPError as err:
-        with err:
-            raise _refusal(err) from None
-    except (OSError, HTTPException, ValueError) as err:
-        reason = getattr(err, "reason", err)
-        raise DaemonError(f"no answer from {url}: {reason}: is the daemon running there?") from None
+    def fetch(
+        self,
+        path: str,
+        body: Mapping[str, Any] | None = None,
+        *,
+        method: str | None = None,
+        timeout_s: float = TIMEOUT_S,
+    ) -> bytes:
+        """Return the content of an answer, undecoded; otherwise as `ask`."""
+        if urlsplit(self.url).scheme not in ("http", "https"):
+            raise DaemonError(f"--url {self.url}: must begin with http:// or https://")
+        headers: dict[str, str] = {}
+        data = None
+        if body is not None:
+            headers["Content-Type"] = "application/json"
+            data = json.dumps({name: value for name, value in body.items() if value is not None}).encode()
+        if self.key is not None:
+            headers["Authorization"] = f"Bearer {self.key}"
+        address = f"{self.url.rstrip('/')}{BASE}{path}"
+        request = urllib.request.Request(address, data, headers, method=method)  # noqa: S310 - http or https, see above
+        try:
+            with urllib.request.urlopen(request, timeout=timeout_s) as answer:  # noqa: S310 - as above
+                return bytes(answer.read())
+        except urllib.error.HTTPError as err:
+            with err:
+                raise _refusal(err) from None
+        except (OSError, HTTPException, ValueError) as err:
+            raise self._silence(getattr(err, "reason", err)) from None
+
+    def _silence(self, reason: object) -> DaemonError:
+        return DaemonError(f"no answer from {self.url}: {reason}: is the daemon running there?")
 
 
 def _refusal(error: urllib.error.HTTPError) -> DaemonError:

@@ -2,14 +2,15 @@
 
 import os
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from service.base.errors import UsageError
-from service.commands.daemon_client import ConfiguredUrl, DaemonError, Key, fetch
-from service.commands.doctor_daemon import is_running
+from service.commands.daemon_client import ConfiguredUrl, DaemonClient, DaemonError, Key
+from service.commands.doctor import is_running
 from service.configuration.settings import load_settings
 from service.daemon.diagnostics.archive import build_archive
 from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
@@ -35,20 +36,16 @@ def command(
     if out.exists():
         raise UsageError(f"{out}: exists already")
     settings = load_settings(config)
-    address = url or settings.api.local_url
-    if not offline and is_running(address):
+    daemon = DaemonClient(url or settings.api.local_url, key)
+    if not offline and is_running(daemon):
         try:
-            content = fetch(address, "/diagnostics", key, timeout_s=ANSWER_S)
+            content = daemon.fetch("/diagnostics", timeout_s=ANSWER_S)
         except DaemonError as err:
             raise DaemonError(f"{err}; --offline does without the daemon", err.kind) from err
-        source = f"the daemon at {address}"
+        source = f"the daemon at {daemon.url}"
     else:
         os.nice(10)  # it may run beside a daemon
         content, source = build_archive(diagnostic_inputs(settings)), "files alone: no daemon was asked"
-    with open(out, "xb", opener=_for_its_owner) as file:
+    with open(out, "xb", opener=partial(os.open, mode=0o600)) as file:  # for its owner alone
         file.write(content)
     typer.echo(f"{out}: {len(content) / 1e3:.0f} kB, of {source}")
-
-
-def _for_its_owner(path: str, flags: int) -> int:
-    return os.open(path, flags, 0o600)

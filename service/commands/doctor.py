@@ -1,29 +1,64 @@
-"""`stonefall doctor`: all that can be looked at on this machine and its rig, on one screen."""
+"""`stonefall doctor`: all that can be looked at on this machine and its rig; `check-host`: the machine alone."""
 
 import asyncio
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
-from service.commands.check_host import Root
-from service.commands.daemon_client import ConfiguredUrl, Key
-from service.commands.doctor_daemon import check_daemon, is_running
+from service.base.language import Language
+from service.base.status import CheckStatus
+from service.commands.daemon_client import ConfiguredUrl, DaemonClient, DaemonError, Key
 from service.commands.doctor_rig import check_cameras, check_gate, check_pulse
-from service.commands.findings import document, has_fault, show
 from service.configuration.host_needs import host_needs
 from service.configuration.rig_settings import AravisRigSettings
 from service.configuration.settings import Settings, load_settings, problems, shortcomings
+from service.health.alarms.rules import load_rules
 from service.host.check import check_host
-from service.host.finding import Finding, fault, good, unknown
+from service.host.finding import Finding, HostVerdict, fault, good, judged, unknown
 from service.host.host import ROOT, Host, host_at
 from service.store.lock import is_locked
 
+TIMEOUT_S = 5.0
+STYLES = {HostVerdict.GOOD: "green", HostVerdict.FAULT: "bold red", HostVerdict.UNKNOWN: "yellow"}
+
+Config = Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")]
+Root = Annotated[
+    Path,
+    typer.Option(
+        "--root",
+        exists=True,
+        file_okay=False,
+        help="Look at the files below this folder instead of this machine's, such as a copy of /proc, /sys and /etc.",
+    ),
+]
+
+
+def check_host_command(
+    config: Config,
+    root: Root = ROOT,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON list of all findings.")] = False,
+) -> None:
+    """Check buffers, network ports, processor, gate, clock, journal, spool and disk; exit 0 if there is no fault.
+
+    Each fault has its remedy: a command, or a file of deploy/host and where it goes. Nothing is changed.
+    """
+    findings = check_host(host_at(root), host_needs(load_settings(config)))
+    if as_json:
+        typer.echo(json.dumps([asdict(finding) for finding in findings], indent=2))
+    else:
+        _show("Host", findings)
+    _exit_by(findings)
+
 
 def command(
-    config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
+    config: Config,
     pulse: Annotated[
         bool,
         typer.Option(
@@ -45,15 +80,51 @@ def command(
     parts: Mapping[str, list[Finding]] = {
         "Host": check_host(host, host_needs(settings)),
         "Configuration": list(_configuration(config, settings)),
-        "Rig": list(_rig(settings, host, url or settings.api.local_url, key, is_fired=pulse)),
+        "Rig": list(_rig(settings, host, DaemonClient(url or settings.api.local_url, key), is_fired=pulse)),
     }
     if as_json:
-        typer.echo(json.dumps({name.lower(): document(part) for name, part in parts.items()}, indent=2))
+        documents = {name.lower(): [asdict(finding) for finding in part] for name, part in parts.items()}
+        typer.echo(json.dumps(documents, indent=2))
     else:
         for name, part in parts.items():
-            show(name, part)
-    if any(map(has_fault, parts.values())):
-        raise typer.Exit(1)
+            _show(name, part)
+    _exit_by([finding for part in parts.values() for finding in part])
+
+
+def is_running(daemon: DaemonClient) -> bool:
+    """True when a daemon answers; needs no key."""
+    try:
+        return daemon.ask("/health/live", timeout_s=TIMEOUT_S).get("status") == CheckStatus.PASS
+    except DaemonError as err:
+        return err.kind is not None
+
+
+def check_daemon(daemon: DaemonClient) -> Iterator[Finding]:
+    """Yield each check of the daemon's health that is an alarm, with what is to be done."""
+    try:
+        health = daemon.ask("/health", timeout_s=TIMEOUT_S)
+    except DaemonError as err:
+        if err.kind is None:
+            remedy = "systemctl restart stonefall; journalctl -u stonefall"
+            yield fault("daemon", found=str(err), wanted="answers", remedy=remedy)
+        else:
+            yield unknown("daemon", f"runs, {err}", "--key or STONEFALL_KEY: a key of scope read")
+        return
+    checks = health["checks"]
+    failing = {name: check for name, check in checks.items() if check["status"] != CheckStatus.PASS}
+    alarms = {name: rule for name in failing if (rule := load_rules().of(name)) is not None}
+    yield judged(
+        "daemon",
+        is_good=not alarms and health["ready"],
+        found=f"{health['ne107']}, {len(checks) - len(failing)} of {len(checks)} checks pass"
+        + ("" if health["ready"] else "; the next stone will not be measured"),
+        wanted="good, and ready for stones",
+        remedy="see below, and stonefall alarms",
+    )
+    for name, rule in alarms.items():
+        check = failing[name]
+        found = check.get("detail") or str(check.get("observed_value"))
+        yield fault(name, found=found, wanted="passes", remedy=rule.action[Language.ENGLISH])
 
 
 def _configuration(file: Path, settings: Settings) -> Iterator[Finding]:
@@ -66,9 +137,9 @@ def _configuration(file: Path, settings: Settings) -> Iterator[Finding]:
         yield good(str(file), "nothing is wrong with it", "")
 
 
-def _rig(settings: Settings, host: Host, url: str, key: str | None, *, is_fired: bool) -> Iterator[Finding]:
-    if is_locked(settings.store.dir) or is_running(url):
-        yield from check_daemon(url, key)
+def _rig(settings: Settings, host: Host, daemon: DaemonClient, *, is_fired: bool) -> Iterator[Finding]:
+    if is_locked(settings.store.dir) or is_running(daemon):
+        yield from check_daemon(daemon)
         if is_fired:
             yield unknown(
                 "test pulse", "not fired: the daemon has the rig and fires its own", "check background"
@@ -82,3 +153,26 @@ def _rig(settings: Settings, host: Host, url: str, key: str | None, *, is_fired:
                 yield from asyncio.run(check_pulse(rig, settings.bundling))
         case replay:
             yield unknown("rig", f"{replay.recording} is replayed", "cameras and a light gate")
+
+
+def _show(title: str, findings: Sequence[Finding]) -> None:
+    """Print a part of the findings, each fault with its remedy below it."""
+    table = Table(
+        title=title, title_justify="left", title_style="bold", box=None, pad_edge=False, show_header=False
+    )
+    for _ in range(3):
+        table.add_column(overflow="fold")
+    for finding in findings:
+        verdict = Text(finding.verdict, style=STYLES[finding.verdict])
+        found = Text(finding.found)
+        if finding.verdict is not HostVerdict.GOOD:
+            found.append(f"; wanted: {finding.wanted}")
+        if finding.remedy is not None:
+            found.append(f"\n-> {finding.remedy}", style="bold")
+        table.add_row(verdict, finding.subject, found)
+    Console(width=None if Console().is_terminal else 160).print(table)
+
+
+def _exit_by(findings: Sequence[Finding]) -> None:
+    if any(finding.verdict is HostVerdict.FAULT for finding in findings):
+        raise typer.Exit(1)

@@ -1,7 +1,7 @@
 """`stonefall lots`: products and lots of a running daemon, as a client of its REST interface."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import quote, urlencode
@@ -12,10 +12,12 @@ from rich.table import Table
 
 from drivers.files.durable import write_file
 from service.base.errors import UsageError
-from service.commands.daemon_client import DEFAULT_URL, AsJson, Key, Url, ask, fetch
+from service.commands.daemon_client import DEFAULT_URL, AsJson, DaemonClient, Key, Url
 from service.commands.options import with_options
 
 FORMATS = ("html", "pdf", "csv", "xlsx")
+OPEN = ("insufficient", "undecided")
+"""Verdicts that more stones may decide. No enumeration is imported: answers are words of the REST contract."""
 
 command = typer.Typer(
     no_args_is_help=True, help="Products and lots of a running daemon: gradation, verdict, report."
@@ -23,7 +25,6 @@ command = typer.Typer(
 
 Lot = Annotated[str, typer.Argument(metavar="LOT", help="Name of the lot.")]
 SieveSet = Annotated[str | None, typer.Option("--sieves", help="Sieve set, in the place of the product's.")]
-Specification = Annotated[str | None, typer.Option(help="Specification, in the place of the product's.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,20 +49,11 @@ class ProductOptions:
 @with_options
 def product(options: ProductOptions) -> None:
     """Define a product, or change it: a change is a new version, and lots keep theirs."""
-    wanted = {
-        "title": options.title or options.name,
-        "density_kg_m3": options.density_kg_m3,
-        "lower_mm": options.lower_mm,
-        "upper_mm": options.upper_mm,
-        "sieve_set": options.sieve_set,
-        "specification": options.specification,
-        "flakiness_category": options.flakiness_category,
-        "shape_category": options.shape_category,
-    }
-    saved = ask(options.url, f"/products/{quote(options.name)}", options.key, wanted, method="PUT")
-    typer.echo(
-        json.dumps(saved) if options.as_json else f"product {options.name}, version {saved['version']}"
-    )
+    name, wanted = options.name, _requested(options)
+    wanted |= {"name": None, "title": options.title or name}
+    daemon = DaemonClient(options.url, options.key)
+    saved = daemon.ask(f"/products/{quote(name)}", wanted, method="PUT")
+    typer.echo(json.dumps(saved) if options.as_json else f"product {name}, version {saved['version']}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,61 +77,47 @@ class OpenOptions:
 @with_options
 def open_(options: OpenOptions) -> None:
     """Open a lot: what falls from now on is in it."""
-    wanted = {
-        "lot": options.lot,
-        "product": options.product,
-        "tonnage_t": options.tonnage_t,
-        "remark": options.remark,
-        "equipment": options.equipment,
-        "sublot": options.sublot,
-        "sample_id": options.sample_id,
-        "sampler": options.sampler,
-    }
-    _show(ask(options.url, "/lots", options.key, wanted), options.as_json)
+    _show(DaemonClient(options.url, options.key).ask("/lots", _requested(options)), options.as_json)
 
 
 @command.command()
-def close(
-    lot: Lot,
-    tonnage_t: float | None = None,
-    url: Url = DEFAULT_URL,
-    key: Key = None,
-    as_json: AsJson = False,
-) -> None:
+@with_options
+def close(lot: Lot, tonnage_t: float | None = None, *, daemon: DaemonClient, as_json: AsJson = False) -> None:
     """Close a lot; what fell before stays in it."""
-    _show(ask(url, f"/lots/{quote(lot)}/close", key, {"tonnage_t": tonnage_t}), as_json)
+    _show(daemon.ask(f"/lots/{quote(lot)}/close", {"tonnage_t": tonnage_t}), as_json)
 
 
 @command.command()
+@with_options
 def void(
     lot: Lot,
     reason: Annotated[str, typer.Option(help="Why it counts no more.")],
-    url: Url = DEFAULT_URL,
-    key: Key = None,
+    daemon: DaemonClient,
     as_json: AsJson = False,
 ) -> None:
     """Declare a lot void; it is kept."""
-    _show(ask(url, f"/lots/{quote(lot)}/void", key, {"reason": reason}), as_json)
+    _show(daemon.ask(f"/lots/{quote(lot)}/void", {"reason": reason}), as_json)
 
 
 @command.command()
+@with_options
 def assign(
     lot: Lot,
     since: Annotated[str, typer.Option(help="Captured at or after, RFC 3339.")],
     until: Annotated[str, typer.Option(help="Captured before, RFC 3339.")],
-    url: Url = DEFAULT_URL,
-    key: Key = None,
+    daemon: DaemonClient,
     as_json: AsJson = False,
 ) -> None:
     """Put the stones of a time that are in no lot into this one."""
-    done = ask(url, f"/lots/{quote(lot)}/assign", key, {"since": since, "until": until})
+    done = daemon.ask(f"/lots/{quote(lot)}/assign", {"since": since, "until": until})
     typer.echo(json.dumps(done) if as_json else f"{done['n_assigned']} stones more are in lot {lot}")
 
 
 @command.command("list")
-def list_(url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False) -> None:
+@with_options
+def list_(daemon: DaemonClient, as_json: AsJson = False) -> None:
     """List lots, the newest first."""
-    page = ask(url, "/lots", key)
+    page = daemon.ask("/lots")
     if as_json:
         typer.echo(json.dumps(page))
         return
@@ -153,18 +131,21 @@ def list_(url: Url = DEFAULT_URL, key: Key = None, as_json: AsJson = False) -> N
 
 
 @command.command()
+@with_options
 def show(
     lot: Lot,
     sieve_set: SieveSet = None,
-    specification: Specification = None,
-    url: Url = DEFAULT_URL,
-    key: Key = None,
+    specification: Annotated[
+        str | None, typer.Option(help="Specification, in the place of the product's.")
+    ] = None,
+    *,
+    daemon: DaemonClient,
     as_json: AsJson = False,
 ) -> None:
     """Show curve, indices and verdict of a lot, through its product's sieves or through any other."""
     asked = {"sieve_set": sieve_set, "specification": specification}
     query = urlencode({name: value for name, value in asked.items() if value is not None})
-    figures = ask(url, f"/lots/{quote(lot)}/gradation?{query}", key)
+    figures = daemon.ask(f"/lots/{quote(lot)}/gradation?{query}")
     if as_json:
         typer.echo(json.dumps(figures))
         return
@@ -189,32 +170,33 @@ def show(
 
 
 @command.command()
+@with_options
 def report(
     lot: Lot,
     out: Annotated[Path, typer.Option(help=f"File to write; its ending is one of {', '.join(FORMATS)}.")],
     language: Annotated[str, typer.Option(help="en or de.")] = "en",
-    url: Url = DEFAULT_URL,
-    key: Key = None,
+    *,
+    daemon: DaemonClient,
 ) -> None:
     """Write the report of a lot."""
     kind = out.suffix.removeprefix(".")
     if kind not in FORMATS:
         raise UsageError(f"--out {out}: must end with .{', .'.join(FORMATS)}")
-    content = fetch(url, f"/lots/{quote(lot)}/report.{kind}?{urlencode({'language': language})}", key)
+    content = daemon.fetch(f"/lots/{quote(lot)}/report.{kind}?{urlencode({'language': language})}")
     write_file(out, content)
     typer.echo(f"{out}: {len(content) / 1e3:.0f} kB")
 
 
 def why_open(figures: dict[str, Any]) -> str | None:
     """Return in one line why there is no verdict yet and what would close it; None when it is decided."""
-    if figures["verdict"] not in ("insufficient", "undecided"):
+    if figures["verdict"] not in OPEN:
         return None
     indices = [("FI", figures["flakiness_decision"]), ("SI", figures["shape_decision"])]
     judged = [(f"{step['sieve_mm']:g} mm", step["decision"]) for step in figures["curve"]] + indices
     still_open = [
         (name, decision["more_stones"])
         for name, decision in judged
-        if decision and decision["verdict"] in ("insufficient", "undecided")
+        if decision and decision["verdict"] in OPEN
     ]
     n_stones = figures["measured"]
     few = (
@@ -246,6 +228,11 @@ def curve_table(figures: dict[str, Any]) -> Table:
             decision["verdict"].replace("_", " ") if decision else "",
         )
     return table
+
+
+def _requested(options: ProductOptions | OpenOptions) -> dict[str, Any]:
+    """Return the options but for those of the client: members of the request's body."""
+    return {name: value for name, value in asdict(options).items() if name not in ("url", "key", "as_json")}
 
 
 def _show(lot: dict[str, Any], as_json: bool) -> None:

@@ -30,9 +30,9 @@ from pipeline.rig.cameras import RigCalibration
 from service.base.errors import UsageError
 from service.base.language import Language
 from service.commands.lots import curve_table
-from service.commands.measured_recording import FOLDERS, RESULTS, measure_all
 from service.commands.measuring_pool import Executor, measuring_pool
 from service.commands.options import with_options
+from service.commands.results_folder import FOLDERS, RESULTS, measure_all
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.settings import load_settings
 from service.lots.evaluation import figures_of

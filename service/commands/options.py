@@ -1,22 +1,33 @@
-"""Commands whose options are the fields of a dataclass."""
+"""Commands whose options are the fields of dataclasses."""
 
 from collections.abc import Callable
+from dataclasses import is_dataclass
 from functools import wraps
-from inspect import signature
-from typing import Any, TypeVar
-
-Options = TypeVar("Options")
+from inspect import Parameter, Signature, signature
+from typing import Any
 
 
-def with_options(command: Callable[[Options], None]) -> Callable[..., None]:
-    """Return the command as typer reads it: with a parameter for each field of its dataclass of options."""
-    (parameter,) = signature(command).parameters.values()
-    options = parameter.annotation
+def with_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Return the command as typer reads it: with a parameter for each field of a parameter that is a dataclass."""
+    parameters = signature(command).parameters
+    groups: dict[str, Any] = {
+        name: each.annotation for name, each in parameters.items() if is_dataclass(each.annotation)
+    }
+    flat: list[Parameter] = []
+    for name, each in parameters.items():
+        own = each.replace(kind=Parameter.POSITIONAL_OR_KEYWORD)
+        flat += signature(groups[name]).parameters.values() if name in groups else [own]
+    shown = Signature(flat)
 
     @wraps(command)
     def run(*args: Any, **kwargs: Any) -> None:
-        command(options(*args, **kwargs))
+        given = shown.bind(*args, **kwargs).arguments
+        for name, group in groups.items():
+            given[name] = group(
+                **{each: given.pop(each) for each in signature(group).parameters if each in given}
+            )
+        command(**given)
 
-    run.__signature__ = signature(options)  # type: ignore[attr-defined] # inspect reads it, typeshed does not know it
-    run.__annotations__ = options.__annotations__
+    run.__signature__ = shown  # type: ignore[attr-defined] # inspect reads it, typeshed does not know it
+    run.__annotations__ = {each.name: each.annotation for each in flat}
     return run

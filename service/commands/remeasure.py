@@ -17,10 +17,14 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from service.commands.daemon_client import Key, all_pages, ask
+from service.commands.daemon_client import DaemonClient, Key
 from service.commands.measuring_pool import Executor, one_error
-from service.commands.remeasure_on_cluster import OrderingDaemon, remeasure_on_cluster
-from service.commands.remeasured_stones import RemeasuredIds, noted_refusal
+from service.commands.remeasure_on_cluster import (
+    OrderingDaemon,
+    RemeasuredIds,
+    noted_refusal,
+    remeasure_on_cluster,
+)
 from service.configuration.settings import load_settings
 from service.remeasuring.remeasuring import DEADLINE_S
 from service.results.fields import Outcome
@@ -46,24 +50,26 @@ def command(
     What each version of the algorithm changed in results: service/remeasuring/README.md.
     """
     settings = load_settings(config)
-    url = settings.api.local_url
+    daemon = DaemonClient(settings.api.local_url, key)
     query = {"kind": "particle", "lot": lot, "since": since, "until": until, "fields": "algorithm_version"}
     wanted = {name: value for name, value in query.items() if value is not None}
     summary = RemeasuredIds(
-        without_frames=[stone["id"] for stone in _stones(url, key, wanted, has_frames=False)]
+        without_frames=[stone["id"] for stone in _stones(daemon, wanted, has_frames=False)]
     )
-    names = [stone["id"] for stone in _stones(url, key, wanted, has_frames=True)][::-1]  # the oldest first
+    names = [stone["id"] for stone in _stones(daemon, wanted, has_frames=True)][::-1]  # the oldest first
     with Progress(console=Console(file=sys.stderr)) as progress:
         bar = progress.add_task("measuring again", total=len(names))
         if executor is None:
             for name in names:
-                _remeasure(url, key, name, summary)
+                with noted_refusal(name, summary):
+                    done = daemon.ask(f"/particles/{name}/revisions", {}, timeout_s=TRIES * DEADLINE_S)
+                    (summary.revised if done["is_new"] else summary.unchanged).append(name)
                 progress.advance(bar)
         else:
-            daemon = OrderingDaemon(url, key, spool_dir=settings.spool.dir)
+            ordering = OrderingDaemon(daemon, settings.spool.dir)
             with one_error():
                 asyncio.run(
-                    remeasure_on_cluster(daemon, executor, names, summary, lambda: progress.advance(bar))
+                    remeasure_on_cluster(ordering, executor, names, summary, lambda: progress.advance(bar))
                 )
     if as_json:
         typer.echo(json.dumps(asdict(summary)))
@@ -73,20 +79,10 @@ def command(
         raise typer.Exit(1)
 
 
-def _stones(
-    url: str, key: str | None, wanted: dict[str, str], *, has_frames: bool
-) -> Iterator[dict[str, Any]]:
+def _stones(daemon: DaemonClient, wanted: dict[str, str], *, has_frames: bool) -> Iterator[dict[str, Any]]:
     """Return the stones that were looked at, newest first."""
-    query = {**wanted, "has_frames": str(has_frames).lower(), "limit": PAGE}
-    stones = all_pages(url, "/particles", key, query)
+    stones = daemon.pages("/particles", {**wanted, "has_frames": str(has_frames).lower(), "limit": PAGE})
     return (stone for stone in stones if stone["outcome"] != Outcome.LOST)
-
-
-def _remeasure(url: str, key: str | None, name: str, summary: RemeasuredIds) -> None:
-    """Request the remeasuring of one stone and note its outcome; raise `DaemonError` if the daemon does not answer."""
-    with noted_refusal(name, summary):
-        done = ask(url, f"/particles/{name}/revisions", key, {}, timeout_s=TRIES * DEADLINE_S)
-        (summary.revised if done["is_new"] else summary.unchanged).append(name)
 
 
 def _print(summary: RemeasuredIds) -> None:

@@ -7,32 +7,56 @@ moment, this leaves nothing but orders, which the daemon forgets.
 import asyncio
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import RecordingError
 from service.base.errors import UsageError
-from service.commands.daemon_client import ask
+from service.commands.daemon_client import DaemonClient, DaemonError
 from service.commands.measuring_pool import IN_FLIGHT
-from service.commands.remeasured_stones import RemeasuredIds, noted_refusal
 from service.processing.job_pool import JobPool
 from service.processing.measure_job import measure
 from service.processing.worker_pool import JobLostError
 from service.remeasuring.cluster.opening import open_cluster
+from service.remeasuring.hindrance import Hindrance
 from service.remeasuring.orders import MAX_OPEN, Order, read_context, read_order, write_record
 
 TRIES = 3
 """Orders for one stone: the background that one names may be replaced before it is read."""
 
 
+@dataclass(slots=True)
+class RemeasuredIds:
+    """The ids of the stones of `stonefall remeasure`, by outcome."""
+
+    revised: list[str] = field(default_factory=list)
+    unchanged: list[str] = field(default_factory=list)
+    without_frames: list[str] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)  # with the reason
+
+
+@contextmanager
+def noted_refusal(name: str, summary: RemeasuredIds) -> Iterator[None]:
+    """Note why a daemon refuses to measure a stone again; what is about no stone is raised on."""
+    try:
+        yield
+    except DaemonError as err:
+        if err.kind == Hindrance.NO_FRAMES:
+            summary.without_frames.append(name)
+        elif err.kind in (Hindrance.NO_CALIBRATION, Hindrance.FAILED):
+            summary.failed[name] = str(err)
+        else:  # the daemon stops, the key is wrong, the rig was never empty
+            raise
+
+
 @dataclass(frozen=True, slots=True)
 class OrderingDaemon:
     """A daemon on this host that runs as our own user."""
 
-    url: str
-    key: str | None
+    daemon: DaemonClient
     spool_dir: Path
 
     async def order(self, name: str) -> tuple[str, Order] | None:
@@ -58,7 +82,7 @@ class OrderingDaemon:
         return bool(done["is_new"])
 
     async def _post(self, path: str, body: dict[str, str] | None = None) -> dict[str, Any]:
-        return await asyncio.to_thread(ask, self.url, path, self.key, body or {})
+        return await asyncio.to_thread(self.daemon.ask, path, body or {})
 
     def _require_own(self, folder: Path) -> None:
         """Raise `UsageError` unless the folder is of our user and in the spool: what lies in it is trusted."""

@@ -12,7 +12,7 @@ from drivers.files.times import utc_now
 from service.base.errors import ServiceError, UsageError
 from service.base.language import Language
 from service.commands.options import with_options
-from service.commands.results_file import read_results
+from service.commands.results_folder import read_results
 from service.lots.evaluation import figures_of
 from service.lots.products import Product
 from service.lots.stored_stones import stones_in

@@ -9,8 +9,9 @@ from support.outcomes import measured
 from typer.testing import CliRunner, Result
 
 from service.base.errors import ServiceError, UsageError
-from service.commands import daemon_client, revised_stones
 from service.commands.cli import build_app
+from service.commands.compare import revisions_of_lot
+from service.commands.daemon_client import DaemonClient
 from service.results.version import CHANGES
 
 N_STONES = 4
@@ -125,7 +126,7 @@ class Store:
         4: {"id": "a", "revision": 3, "revises": 3, "algorithm_version": "13"},
     }
 
-    def ask(self, url: str, path: str, key: str | None) -> dict[str, Any]:
+    def ask(self, path: str) -> dict[str, Any]:
         if path.startswith("/particles?"):
             return {"items": [self.results[4], self.results[2]], "next_cursor": None}
         return self.results[int(path.rpartition("/")[2])]
@@ -141,9 +142,8 @@ class Store:
 def test_of_a_store_each_stone_is_taken_in_the_newest_result_of_a_side(
     monkeypatch: pytest.MonkeyPatch, sides: tuple[str, str], found: tuple[dict[str, int], dict[str, int]]
 ) -> None:
-    for module in (daemon_client, revised_stones):
-        monkeypatch.setattr(module, "ask", Store().ask)
-    taken = revised_stones.revisions_of_lot("http://x", None, "L1", sides)
+    monkeypatch.setattr(DaemonClient, "ask", lambda _, path: Store().ask(path))
+    taken = revisions_of_lot(DaemonClient(), "L1", sides)
     assert tuple({name: record["revision"] for name, record in side.items()} for side in taken) == found
     with pytest.raises(UsageError, match=r"no stone of lot L1 has a result of 99"):
-        revised_stones.revisions_of_lot("http://x", None, "L1", ("12", "99"))
+        revisions_of_lot(DaemonClient(), "L1", ("12", "99"))

@@ -2,14 +2,14 @@
 
 import pytest
 
-from service.commands import doctor_daemon
-from service.commands.doctor_daemon import check_daemon
+from service.commands.daemon_client import DaemonClient
+from service.commands.doctor import check_daemon
 from service.host.finding import HostVerdict
 
 
 def verdicts(health: dict[str, object], monkeypatch: pytest.MonkeyPatch) -> dict[str, HostVerdict]:
-    monkeypatch.setattr(doctor_daemon, "ask", lambda *_, **__: health)
-    return {finding.subject: finding.verdict for finding in check_daemon("http://127.0.0.1:1", None)}
+    monkeypatch.setattr(DaemonClient, "ask", lambda *_, **__: health)
+    return {finding.subject: finding.verdict for finding in check_daemon(DaemonClient())}
 
 
 def test_only_what_is_an_alarm_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:

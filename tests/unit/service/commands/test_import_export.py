@@ -14,7 +14,7 @@ from drivers.files.recording import open_recording, playback_order, read_bundle
 from drivers.files.rig_file import write_rig
 from pipeline.frames import BundleKind
 from service.base.errors import UsageError
-from service.commands import export_images, import_images
+from service.commands.images import export_command, import_command
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def files_below(folder: Path) -> set[Path]:
 
 def test_import_and_export_are_inverse(source: Path, tmp_path: Path) -> None:
     out, back = tmp_path / "rec", tmp_path / "back"
-    import_images.command(source, out, tmp_path / "rig.json", ["empty"])
+    import_command(source, out, tmp_path / "rig.json", ["empty"])
     recording = open_recording(out)
     assert not recording.is_simulated
     assert recording.rig is not None
@@ -49,7 +49,7 @@ def test_import_and_export_are_inverse(source: Path, tmp_path: Path) -> None:
     spacings_ns = np.diff([header.trigger.received_ns for header in headers])
     assert set(spacings_ns) == {250_000_000}
 
-    export_images.command(out, back)
+    export_command(out, back)
     assert files_below(back) == files_below(source) | {Path("rig.json"), Path("backgrounds.txt")}
     assert (back / "backgrounds.txt").read_text() == "empty\n"
     assert filecmp.cmp(back / "rig.json", tmp_path / "rig.json", shallow=False)
@@ -63,7 +63,7 @@ def test_export_leaves_damage_out_and_says_so(tmp_path: Path, capsys: pytest.Cap
     (path / "bundles" / "00000001.tiff").write_bytes(b"")
     torn = path / "bundles" / "00000002.tiff"
     torn.write_bytes(torn.read_bytes()[:-2000])
-    export_images.command(path, tmp_path / "out")
+    export_command(path, tmp_path / "out")
     assert sorted(child.name for child in (tmp_path / "out").iterdir() if child.is_dir()) == [
         "00000000",
         "00000002",
@@ -102,33 +102,33 @@ def test_wrong_images_are_named_and_nothing_is_written(
     (source / "stone 4" / name).write_bytes(content)
     before = set(tmp_path.iterdir())
     with pytest.raises(RecordingError, match=message):
-        import_images.command(source, tmp_path / "rec", tmp_path / "rig.json", ["empty"])
+        import_command(source, tmp_path / "rec", tmp_path / "rig.json", ["empty"])
     assert set(tmp_path.iterdir()) == before
 
 
 def test_wrong_folders_are_named(source: Path, tmp_path: Path) -> None:
     rig, out = tmp_path / "rig.json", tmp_path / "rec"
     with pytest.raises(UsageError, match=r"--background nothing: .* has no such folder"):
-        import_images.command(source, out, rig, ["nothing"])
+        import_command(source, out, rig, ["nothing"])
     (source / "stone 11").mkdir()
     with pytest.raises(RecordingError, match=r"stone 11: has no image <camera id>\.png"):
-        import_images.command(source, out, rig, ["empty"])
+        import_command(source, out, rig, ["empty"])
     with pytest.raises(RecordingError, match="has no folder of images"):
-        import_images.command(source / "stone 1", out, rig)
+        import_command(source / "stone 1", out, rig)
     with pytest.raises(RecordingError, match="is not a folder"):
-        import_images.command(rig, out, rig)
+        import_command(rig, out, rig)
     with pytest.raises(RecordingError, match=r"images: exists already"):
-        import_images.command(source, source, rig, ["empty"])
+        import_command(source, source, rig, ["empty"])
     with pytest.raises(RecordingError, match="exists already"):
-        export_images.command(write_recording(out, [make_bundle(0)]), source)
+        export_command(write_recording(out, [make_bundle(0)]), source)
 
 
 def test_the_command_lines(source: Path, tmp_path: Path) -> None:
     import typer
 
     app = typer.Typer()
-    app.command("import")(import_images.command)
-    app.command("export")(export_images.command)
+    app.command("import")(import_command)
+    app.command("export")(export_command)
     out = tmp_path / "rec"
     arguments = ["import", str(source), str(out), "--rig", str(tmp_path / "rig.json"), "--simulated"]
     result = CliRunner().invoke(app, [*arguments, "--background", "empty", "--background", "stone 1"])

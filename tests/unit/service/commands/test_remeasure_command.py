@@ -9,21 +9,20 @@ import pytest
 from support.daemon_process import DaemonProcess
 from typer.testing import CliRunner, Result
 
-from service.commands import daemon_client, remeasure
 from service.commands.cli import build_app
-from service.commands.daemon_client import DaemonError
+from service.commands.daemon_client import DaemonClient, DaemonError
 
 FAILURES = {"b": "not-kept", "c": "calibration-gone", "d": "not-measured"}
 
 
-class Daemon:
+class FakeDaemon:
     """Answers in the place of a daemon: stones `a` to `e` may have frames, `x` and `y` have none, `z` was lost."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[str, dict[str, list[str]]]] = []
         self.failures = dict(FAILURES)
 
-    def ask(self, url: str, path: str, key: str | None, body: Any = None, **_: object) -> dict[str, Any]:
+    def ask(self, url: str, path: str, body: Any = None, **_: object) -> dict[str, Any]:
         where = urlsplit(path)
         query = parse_qs(where.query)
         self.asked.append((f"{url}{where.path}", query))
@@ -44,10 +43,11 @@ class Daemon:
 
 
 @pytest.fixture
-def daemon(monkeypatch: pytest.MonkeyPatch) -> Daemon:
-    daemon = Daemon()
-    for module in (daemon_client, remeasure):
-        monkeypatch.setattr(module, "ask", daemon.ask)
+def daemon(monkeypatch: pytest.MonkeyPatch) -> FakeDaemon:
+    daemon = FakeDaemon()
+    monkeypatch.setattr(
+        DaemonClient, "ask", lambda asked, *given, **more: daemon.ask(asked.url, *given, **more)
+    )
     return daemon
 
 
@@ -56,7 +56,7 @@ def run(folder: Path, *options: str) -> Result:
     return CliRunner().invoke(build_app(["remeasure"]), ["remeasure", "--config", str(config), *options])
 
 
-def test_each_stone_is_asked_for_and_named(tmp_path: Path, daemon: Daemon) -> None:
+def test_each_stone_is_asked_for_and_named(tmp_path: Path, daemon: FakeDaemon) -> None:
     done = run(tmp_path, "--json", "--lot", "L 1", "--since", "2026-01-01T00:00:00Z")
     assert done.exit_code == 1  # some could not be measured
     assert json.loads(done.stdout) == {
@@ -71,7 +71,7 @@ def test_each_stone_is_asked_for_and_named(tmp_path: Path, daemon: Daemon) -> No
     assert asked == list("abcde")  # the oldest first
 
 
-def test_people_are_told_in_two_lines(tmp_path: Path, daemon: Daemon) -> None:
+def test_people_are_told_in_two_lines(tmp_path: Path, daemon: FakeDaemon) -> None:
     daemon.failures = {"b": "not-kept"}
     done = run(tmp_path)
     assert done.exit_code == 0
@@ -82,7 +82,7 @@ def test_people_are_told_in_two_lines(tmp_path: Path, daemon: Daemon) -> None:
 
 
 @pytest.mark.parametrize("kind", [None, "no-background", "unauthorized"])
-def test_what_is_about_no_stone_ends_it(tmp_path: Path, daemon: Daemon, kind: str | None) -> None:
+def test_what_is_about_no_stone_ends_it(tmp_path: Path, daemon: FakeDaemon, kind: str | None) -> None:
     daemon.failures = {"b": kind}  # type: ignore[dict-item]
     if kind is None:
 

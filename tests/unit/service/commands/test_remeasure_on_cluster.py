@@ -17,10 +17,9 @@ from pipeline.frames import CameraId
 from pipeline.particle import PipelineParameters
 from service.base.errors import UsageError
 from service.commands import remeasure_on_cluster as module
-from service.commands.daemon_client import DaemonError
+from service.commands.daemon_client import DaemonClient, DaemonError
 from service.commands.measuring_pool import IN_FLIGHT
-from service.commands.remeasure_on_cluster import OrderingDaemon, remeasure_on_cluster
-from service.commands.remeasured_stones import RemeasuredIds
+from service.commands.remeasure_on_cluster import OrderingDaemon, RemeasuredIds, remeasure_on_cluster
 from service.processing.measure_job import MeasuredBundle, MeasureJob, RigFile, WorkerContext
 from service.processing.worker_pool import JobLostError
 from service.remeasuring.orders import Order
@@ -138,7 +137,7 @@ async def test_when_all_is_of_this_algorithm_no_cluster_is_asked(tmp_path: Path)
 def test_only_a_folder_of_our_own_in_the_spool_is_trusted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    daemon = OrderingDaemon("http://x", None, tmp_path / "spool")
+    daemon = OrderingDaemon(DaemonClient(), tmp_path / "spool")
     own, elsewhere = tmp_path / "spool" / "1", tmp_path / "1"
     for folder in (own, elsewhere):
         folder.mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""Measure the bundles of a recording: it stands in the place of the spool, a folder in the place of the store."""
+"""Folders of results: measured from a recording, which stands in the place of the spool, and read again."""
 
 import asyncio
 import json
@@ -14,12 +14,13 @@ from rich.progress import Progress
 from drivers.files.png_file import write_png
 from drivers.files.recording import Recording, playback_order, unreadable_triggers
 from drivers.files.silhouette_file import read_silhouettes
+from service.base.errors import ServiceError
 from service.commands.measuring_pool import IN_FLIGHT, one_error
 from service.processing.job_pool import JobPool
 from service.processing.measure_job import MESH, SILHOUETTES, RigFile
 from service.processing.processing import FixedCalibration, Processing, ProcessingContext, ProcessingObserver
 from service.processing.spool import Loss, SpooledBundle
-from service.results.fields import LossReason
+from service.results.fields import LossReason, completed
 
 RESULTS = "results.jsonl"
 MESHES, LABELS = FOLDERS = ("meshes", "silhouettes")
@@ -78,6 +79,28 @@ class _ResultsFolder:
         self._lines.write(json.dumps(kept) + "\n")
         self.records.append(kept)
         return len(self.records)
+
+
+def read_results(results: Path) -> list[dict[str, Any]]:
+    """Return the records in a folder of results, or in a file `results.jsonl`.
+
+    Raises
+    ------
+    ServiceError
+        It cannot be read; names the file and the line.
+    """
+    path = results / RESULTS if results.is_dir() else results
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as err:
+        raise ServiceError(f"{path}: {err}") from err
+    records = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            records.append(completed(dict(json.loads(line))))
+        except (ValueError, TypeError) as err:
+            raise ServiceError(f"{path}: line {number}: {err}") from err
+    return records
 
 
 def measure_all(
