@@ -23,22 +23,13 @@ class AcquisitionRequest(BaseModel):
     state: AcquisitionTarget = Field(description="`armed`: measure every stone; `disarmed`: ignore them")
 
 
-@router.get(
-    "",
-    response_model=AcquisitionAnswer,
-    dependencies=READABLE,
-)
+@router.get("", response_model=AcquisitionAnswer, dependencies=READABLE)
 async def acquisition(context: Context) -> AcquisitionStatus:
     """Get the state of the rig: are stones being measured, and if not, why."""
     return context.control.acquisition_status()
 
 
-@router.put(
-    "",
-    response_model=AcquisitionAnswer,
-    dependencies=OPERABLE,
-    responses=problem_responses(409),
-)
+@router.put("", response_model=AcquisitionAnswer, dependencies=OPERABLE, responses=problem_responses(409))
 async def set_acquisition(context: Context, wanted: AcquisitionRequest, asking: Who) -> AcquisitionStatus:
     """Arm or disarm the rig. Repeating a request changes nothing; 409 when the current state forbids it."""
     before = context.control.acquisition_status().state

@@ -18,7 +18,7 @@ from service.base.status import CameraStatus
 from service.web.auth import OPERABLE, READABLE, Who
 from service.web.context import ApiContext, Context
 from service.web.parameters import CameraName
-from service.web.problems import Problem, problem_responses
+from service.web.problems import Problem
 
 router = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=READABLE)
 acting = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=OPERABLE)
@@ -82,16 +82,14 @@ async def contact_sheet(context: Context) -> Response:
     return Response(jpg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
 
-@router.get("/{camera}", response_model=CameraAnswer, responses=problem_responses(404))
+@router.get("/{camera}", response_model=CameraAnswer)
 async def camera_status(context: Context, camera: CameraName) -> CameraStatus:
     """Get the state and counters of a camera."""
     return _status_of(context, camera)
 
 
 @router.get(
-    "/{camera}/snapshot.png",
-    response_class=Response,
-    responses={200: {"content": {"image/png": {}}}, **problem_responses(404)},
+    "/{camera}/snapshot.png", response_class=Response, responses={200: {"content": {"image/png": {}}}}
 )
 async def snapshot(context: Context, camera: CameraName) -> Response:
     """Get the latest frame of a camera; 404 `not-kept` before the first."""
@@ -102,11 +100,7 @@ async def snapshot(context: Context, camera: CameraName) -> Response:
     return Response(png, media_type="image/png", headers={"Cache-Control": "no-store"})
 
 
-@acting.post(
-    "/{camera}/identify",
-    response_model=IdentifiedCamera,
-    responses=problem_responses(404, 409),
-)
+@acting.post("/{camera}/identify", response_model=IdentifiedCamera)
 async def identify_camera(
     context: Context, camera: CameraName, wanted: IdentifyRequest, asking: Who
 ) -> dict[str, Any]:

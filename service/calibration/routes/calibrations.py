@@ -37,10 +37,7 @@ DONE = {
 CalibrationName = Annotated[str, Path(pattern=r"^[0-9]{4,9}$", description="`id` of a calibration")]
 
 
-@router.get(
-    "",
-    dependencies=READABLE,
-)
+@router.get("", dependencies=READABLE)
 async def calibrations(context: Context) -> CalibrationsAnswer:
     """List the calibrations, newest first, and the one in use."""
     known = context.part(Calibrations)
@@ -51,12 +48,7 @@ async def calibrations(context: Context) -> CalibrationsAnswer:
     )
 
 
-@router.post(
-    "",
-    status_code=201,
-    dependencies=OPERABLE,
-    responses=problem_responses(409),
-)
+@router.post("", status_code=201, dependencies=OPERABLE)
 async def start_calibration(
     context: Context, wanted: CalibrationRequest, response: Response, asking: Who
 ) -> CalibrationSummary:
@@ -73,11 +65,7 @@ async def start_calibration(
     return _summary(context, record)
 
 
-@router.get(
-    "/{calibration}",
-    dependencies=READABLE,
-    responses=problem_responses(404),
-)
+@router.get("/{calibration}", dependencies=READABLE)
 async def calibration(context: Context, calibration: CalibrationName) -> CalibrationDocument:
     """Get a calibration: its drops, their coverage and residuals, and its report."""
     details = existing(await context.part(Calibrations).find(calibration), "calibration", calibration)
@@ -94,7 +82,7 @@ async def calibration(context: Context, calibration: CalibrationName) -> Calibra
     "/{calibration}/rig.json",
     response_class=FileResponse,
     dependencies=READABLE,
-    responses={200: {"content": {"application/json": {}}}, **problem_responses(404)},
+    responses={200: {"content": {"application/json": {}}}},
 )
 async def calibration_rig(context: Context, calibration: CalibrationName) -> FileResponse:
     """Download the rig file of a calibration, with its checksum; 404 before it is solved."""

@@ -13,7 +13,7 @@ from service.calibration.verification_limits import VerificationParameters
 from service.calibration.verifications import Verification, VerificationRequest, VerificationState
 from service.web.auth import CONFIGURABLE, OPERABLE, READABLE, Who
 from service.web.context import Context
-from service.web.problems import existing, problem_responses
+from service.web.problems import existing
 from service.web.version import BASE
 
 router = APIRouter(prefix="/verifications", tags=["verifications"])
@@ -61,22 +61,14 @@ class VerificationsAnswer(BaseModel):
     items: list[Verification] = Field(description="Newest first")
 
 
-@router.get(
-    "",
-    dependencies=READABLE,
-)
+@router.get("", dependencies=READABLE)
 async def verifications(context: Context) -> VerificationsAnswer:
     """List the verifications, newest first."""
     known = context.part(Calibrations).verifications
     return VerificationsAnswer(limits=known.parameters, items=known.all())
 
 
-@router.post(
-    "",
-    status_code=201,
-    dependencies=OPERABLE,
-    responses=problem_responses(409),
-)
+@router.post("", status_code=201, dependencies=OPERABLE)
 async def start_verification(
     context: Context, wanted: VerificationRequest, response: Response, asking: Who
 ) -> Verification:
@@ -93,11 +85,7 @@ async def start_verification(
     return verification
 
 
-@router.get(
-    "/chart",
-    response_model=ChartDocument,
-    dependencies=READABLE,
-)
+@router.get("/chart", response_model=ChartDocument, dependencies=READABLE)
 async def verification_chart(
     context: Context,
     diameter_mm: Annotated[float, Query(gt=0, le=100, description="Of the ball")] = 15.0,
@@ -125,22 +113,14 @@ async def verification_chart(
     }
 
 
-@router.get(
-    "/{verification}",
-    dependencies=READABLE,
-    responses=problem_responses(404),
-)
+@router.get("/{verification}", dependencies=READABLE)
 async def verification(context: Context, verification: VerificationName) -> Verification:
     """Get a verification."""
     known = context.part(Calibrations).verifications.find(verification)
     return existing(known, "verification", verification)
 
 
-@router.post(
-    "/{verification}/cancel",
-    dependencies=OPERABLE,
-    responses=problem_responses(404),
-)
+@router.post("/{verification}/cancel", dependencies=OPERABLE)
 async def cancel_verification(context: Context, verification: VerificationName, asking: Who) -> Verification:
     """Cancel a verification: it ends without a verdict. One that has ended stays as it is."""
     known = context.part(Calibrations).verifications
@@ -152,11 +132,7 @@ async def cancel_verification(context: Context, verification: VerificationName, 
     return after
 
 
-@router.post(
-    "/{verification}/void",
-    dependencies=CONFIGURABLE,
-    responses=problem_responses(404),
-)
+@router.post("/{verification}/void", dependencies=CONFIGURABLE)
 async def void_verification(
     context: Context, verification: VerificationName, wanted: VoidVerificationRequest, asking: Who
 ) -> Verification:

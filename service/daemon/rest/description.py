@@ -124,7 +124,7 @@ def complete(document: dict[str, Any]) -> None:
             if method == "post" and "security" in operation:
                 operation.setdefault("parameters", []).append(KEY_PARAMETER)
             _add_headers(operation, makes_item=method == "post" and has_items)
-            _add_shared_answers(operation, is_post=method == "post")
+            _add_shared_answers(operation, method)
             _add_schemas(operation)
     for schema in schemas.values():
         for member in schema.get("properties", {}).values():
@@ -154,8 +154,9 @@ def _add_headers(operation: dict[str, Any], *, makes_item: bool) -> None:
             answer["headers"] = present | answer.get("headers", {})
 
 
-def _add_shared_answers(operation: dict[str, Any], *, is_post: bool) -> None:
+def _add_shared_answers(operation: dict[str, Any], method: str) -> None:
     """Refer to 304 and the problems that the route names, and to those that any request of this kind can have."""
+    parameters = operation.get("parameters", ())
     statuses = {
         HTTPStatus.MISDIRECTED_REQUEST,
         HTTPStatus.INTERNAL_SERVER_ERROR,
@@ -163,7 +164,7 @@ def _add_shared_answers(operation: dict[str, Any], *, is_post: bool) -> None:
     }
     if "security" in operation:
         statuses |= {HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN, HTTPStatus.TOO_MANY_REQUESTS}
-    if "parameters" in operation or "requestBody" in operation:
+    if parameters or "requestBody" in operation:
         statuses.add(HTTPStatus.UNPROCESSABLE_ENTITY)
     if "requestBody" in operation:
         statuses |= {
@@ -171,8 +172,12 @@ def _add_shared_answers(operation: dict[str, Any], *, is_post: bool) -> None:
             HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
             HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
         }
-    if is_post and "security" in operation:
+    if method == "post" and "security" in operation:
         statuses.add(HTTPStatus.CONFLICT)
+    if method != "put" and any(each["in"] == "path" and "$ref" not in each["schema"] for each in parameters):
+        statuses.add(HTTPStatus.NOT_FOUND)  # a name that nothing has; PUT may give it
+    if any(each["name"] == "if-match" for each in parameters):
+        statuses.add(HTTPStatus.PRECONDITION_FAILED)
     answers = operation["responses"]
     named = {status for status in answers if status >= "300"}  # `default` among them
     for status in sorted(named | {str(int(status)) for status in statuses}):

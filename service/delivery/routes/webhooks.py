@@ -83,7 +83,7 @@ async def webhooks(context: Context) -> dict[str, Any]:
     return {"items": [_document(status) for status in await context.part(Webhooks).statuses()]}
 
 
-@router.get("/{webhook}/deliveries", responses=problem_responses(404))
+@router.get("/{webhook}/deliveries")
 async def webhook_deliveries(
     context: Context,
     name: Name,
@@ -93,7 +93,7 @@ async def webhook_deliveries(
     return DeliveriesDocument(items=await context.store.read(deliveries, name, limit))
 
 
-@router.post("/{webhook}/enable", response_model=WebhookDocument, responses=problem_responses(404))
+@router.post("/{webhook}/enable", response_model=WebhookDocument)
 async def enable_webhook(context: Context, name: Name, asking: Who) -> dict[str, Any]:
     """Enable a webhook: try its endpoint again at once, whether it was disabled or waits for its next attempt."""
     context.store.require_writable()
@@ -101,7 +101,7 @@ async def enable_webhook(context: Context, name: Name, asking: Who) -> dict[str,
     return _document(await context.part(Webhooks).status(name))
 
 
-@router.post("/{webhook}/replay", response_model=WebhookDocument, responses=problem_responses(404, 409, 410))
+@router.post("/{webhook}/replay", response_model=WebhookDocument, responses=problem_responses(410))
 async def replay_webhook(context: Context, name: Name, wanted: ReplayRequest, asking: Who) -> dict[str, Any]:
     """Replay events to a webhook: all after a number, under the ids that they had; forward, it skips events.
 
@@ -112,7 +112,7 @@ async def replay_webhook(context: Context, name: Name, wanted: ReplayRequest, as
     return _document(await context.part(Webhooks).status(name))
 
 
-@router.post("/{webhook}/test", responses=problem_responses(404))
+@router.post("/{webhook}/test")
 async def test_webhook(context: Context, name: Name, asking: Who) -> Attempt:
     """Test a webhook: send `webhook.test` now, once, disabled or not, and return the outcome.
 

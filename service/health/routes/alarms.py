@@ -16,7 +16,7 @@ from service.health.alarms.table import history
 from service.web.auth import OPERABLE, READABLE, Who
 from service.web.context import Context
 from service.web.feeds import MAX_SEQ
-from service.web.problems import existing, problem_responses
+from service.web.problems import existing
 
 router = APIRouter(prefix="/alarms", tags=["alarms"])
 
@@ -89,12 +89,7 @@ async def alarm_history(
     }
 
 
-@router.post(
-    "/{alarm}/acknowledge",
-    response_model=AlarmDocument,
-    dependencies=OPERABLE,
-    responses=problem_responses(404, 409),
-)
+@router.post("/{alarm}/acknowledge", response_model=AlarmDocument, dependencies=OPERABLE)
 async def acknowledge_alarm(
     context: Context, alarm: Number, asking: Who, language: Words = Language.ENGLISH
 ) -> dict[str, Any]:
@@ -105,12 +100,7 @@ async def acknowledge_alarm(
     return _found(context, alarm, await context.part(Alarms).acknowledge(alarm, asking), language)
 
 
-@router.post(
-    "/{alarm}/shelve",
-    response_model=AlarmDocument,
-    dependencies=OPERABLE,
-    responses=problem_responses(404),
-)
+@router.post("/{alarm}/shelve", response_model=AlarmDocument, dependencies=OPERABLE)
 async def shelve_alarm(
     context: Context, alarm: Number, wanted: ShelveRequest, asking: Who, language: Words = Language.ENGLISH
 ) -> dict[str, Any]:
@@ -119,12 +109,7 @@ async def shelve_alarm(
     return _found(context, alarm, shelved, language)
 
 
-@router.post(
-    "/{alarm}/unshelve",
-    response_model=AlarmDocument,
-    dependencies=OPERABLE,
-    responses=problem_responses(404, 409),
-)
+@router.post("/{alarm}/unshelve", response_model=AlarmDocument, dependencies=OPERABLE)
 async def unshelve_alarm(
     context: Context, alarm: Number, asking: Who, language: Words = Language.ENGLISH
 ) -> dict[str, Any]:

@@ -72,11 +72,7 @@ async def ready(context: Context) -> Ready:
     return Ready()
 
 
-@router.get(
-    "",
-    response_model=HealthDocument,
-    dependencies=READABLE,
-)
+@router.get("", response_model=HealthDocument, dependencies=READABLE)
 async def health(context: Context) -> dict[str, Any]:
     """Get the health: every check of cameras, gate, queue, workers, calibration, store, disk and more; always 200."""
     state = context.control.health()

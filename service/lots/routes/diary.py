@@ -19,17 +19,8 @@ class DiaryPage(BaseModel):
     items: list[DiaryEntry] = Field(description="Newest first")
 
 
-@router.post(
-    "/diary",
-    status_code=201,
-    dependencies=OPERABLE,
-)
-@router.post(
-    "/events",
-    name="post_event",
-    status_code=201,
-    dependencies=OPERABLE,
-)
+@router.post("/diary", status_code=201, dependencies=OPERABLE)
+@router.post("/events", name="post_event", status_code=201, dependencies=OPERABLE)
 async def post_diary(context: Context, wanted: DiaryRequest, asking: Who) -> DiaryEntry:
     """Enter into the crusher's diary what was done; it is an event, `diary.noted`, and a mark on the trends.
 

@@ -119,13 +119,7 @@ class Correlations(BaseModel):
     items: list[CorrelationDocument] = Field(description="Newest first")
 
 
-@router.post(
-    "/lots/{lot}/sieving",
-    status_code=201,
-    response_model=SievingDocument,
-    dependencies=OPERABLE,
-    responses=problem_responses(404, 409),
-)
+@router.post("/lots/{lot}/sieving", status_code=201, response_model=SievingDocument, dependencies=OPERABLE)
 async def post_sieving(context: Context, lot: LotName, wanted: SievingRequest, asking: Who) -> dict[str, Any]:
     """Store a sieving of the laboratory: of a portion of a lot, to be shown beside the instrument's curve."""
     existing(await context.store.read(find_lot, lot), "lot", lot)
@@ -134,9 +128,7 @@ async def post_sieving(context: Context, lot: LotName, wanted: SievingRequest, a
     return sieving_document(await context.store.write(add_sieving, lot, sieving, asking))
 
 
-@router.get(
-    "/lots/{lot}/sieving", response_model=Sievings, dependencies=READABLE, responses=problem_responses(404)
-)
+@router.get("/lots/{lot}/sieving", response_model=Sievings, dependencies=READABLE)
 async def list_sievings(context: Context, lot: LotName) -> Response:
     """List a lot's sievings of the laboratory."""
     existing(await context.store.read(find_lot, lot), "lot", lot)
@@ -149,7 +141,6 @@ async def list_sievings(context: Context, lot: LotName) -> Response:
     status_code=201,
     response_model=CorrelationDocument,
     dependencies=CONFIGURABLE,
-    responses=problem_responses(404, 409),
 )
 async def post_correlation(
     context: Context, product: ProductName, wanted: StudyRequest, asking: Who
@@ -161,23 +152,14 @@ async def post_correlation(
     return _flat(await context.store.write(keep_study, product, found, asking))
 
 
-@router.get(
-    "/products/{product}/correlations",
-    response_model=Correlations,
-    dependencies=READABLE,
-    responses=problem_responses(404),
-)
+@router.get("/products/{product}/correlations", response_model=Correlations, dependencies=READABLE)
 async def list_correlations(context: Context, product: ProductName) -> dict[str, Any]:
     """List the correlation studies of a product, newest first."""
     existing(await context.store.read(find_product, product), "product", product)
     return {"items": [_flat(each) for each in await context.store.read(correlations, product)]}
 
 
-@router.get(
-    "/repeatability",
-    dependencies=READABLE,
-    responses=problem_responses(404, 409),
-)
+@router.get("/repeatability", dependencies=READABLE, responses=problem_responses(404, 409))
 async def get_repeatability(
     context: Context,
     measuring: Measuring,

@@ -17,7 +17,7 @@ from service.lots.yardsticks import Request, yardstick_of
 from service.store import read
 from service.web.auth import READABLE
 from service.web.context import Context
-from service.web.problems import existing, problem_responses
+from service.web.problems import existing
 
 router = APIRouter(prefix="/lots", tags=["lots"], dependencies=READABLE)
 
@@ -82,11 +82,7 @@ Measuring = Annotated[Request, Depends(request_of)]
 Choosing = Annotated[Choice, Depends(choice_of)]
 
 
-@router.get(
-    "/{lot}/gradation",
-    response_model=LotFigures,
-    responses=problem_responses(404),
-)
+@router.get("/{lot}/gradation", response_model=LotFigures)
 async def gradation(
     context: Context,
     lot: LotName,
@@ -101,7 +97,7 @@ async def gradation(
     return Response(existing(content, "lot", lot), media_type="application/json")
 
 
-@router.get("/{lot}/algorithm-versions", response_model=LotVersions, responses=problem_responses(404))
+@router.get("/{lot}/algorithm-versions", response_model=LotVersions)
 async def algorithm_versions(context: Context, lot: LotName) -> dict[str, Any]:
     """List the algorithm versions that have measured stones of a lot, each with the number of stones."""
     existing(await context.store.read(find_lot, lot), "lot", lot)
@@ -110,10 +106,7 @@ async def algorithm_versions(context: Context, lot: LotName) -> dict[str, Any]:
     return {"items": items}
 
 
-@router.get(
-    "/{lot}/particles",
-    responses=problem_responses(404),
-)
+@router.get("/{lot}/particles")
 async def particles_behind_step(
     context: Context,
     lot: LotName,

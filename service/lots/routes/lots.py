@@ -102,7 +102,7 @@ class Assigned(BaseModel):
     status_code=201,
     response_model=LotDocument,
     dependencies=OPERABLE,
-    responses={**TAGGED, **problem_responses(404, 409)},
+    responses={**TAGGED, **problem_responses(404)},
 )
 async def post_lot(context: Context, wanted: LotRequest, response: Response, asking: Who) -> LotDocument:
     """Open a lot: what falls from now on is in it, whenever it is measured.
@@ -131,24 +131,14 @@ async def list_lots(
     return LotsPage(items=items, next_before=items[-1].opened_at if len(found) > limit else None)
 
 
-@router.get(
-    "/{lot}",
-    response_model=LotDocument,
-    dependencies=READABLE,
-    responses={**NOT_MODIFIED, **problem_responses(404)},
-)
+@router.get("/{lot}", response_model=LotDocument, dependencies=READABLE, responses=NOT_MODIFIED)
 async def get_lot(context: Context, asked: HttpRequest, response: Response, lot: LotName) -> Any:
     """Get a lot; its `ETag` is for `If-Match` of a change."""
     record = existing(await context.store.read(find_lot, lot), "lot", lot)
     return unchanged(asked, _tag(record)) or _served(response, record)
 
 
-@router.post(
-    "/{lot}/close",
-    response_model=LotDocument,
-    dependencies=OPERABLE,
-    responses=problem_responses(404, 409, 412),
-)
+@router.post("/{lot}/close", response_model=LotDocument, dependencies=OPERABLE)
 async def post_close(
     context: Context,
     lot: LotName,
@@ -162,9 +152,7 @@ async def post_close(
     return _served(response, await _changed(context, lot, if_match, close_lot, wanted.tonnage_t, asking))
 
 
-@router.post(
-    "/{lot}/void", response_model=LotDocument, dependencies=OPERABLE, responses=problem_responses(404, 412)
-)
+@router.post("/{lot}/void", response_model=LotDocument, dependencies=OPERABLE)
 async def post_void(
     context: Context,
     lot: LotName,
@@ -178,9 +166,7 @@ async def post_void(
     return _served(response, await _changed(context, lot, if_match, void_lot, wanted.reason, asking))
 
 
-@router.post(
-    "/{lot}/assign", response_model=Assigned, dependencies=OPERABLE, responses=problem_responses(404, 409)
-)
+@router.post("/{lot}/assign", response_model=Assigned, dependencies=OPERABLE)
 async def post_assign(context: Context, lot: LotName, wanted: AssignRequest, asking: Who) -> Assigned:
     """Assign stones to a lot: those of a time that are in no lot; the audit keeps who did it."""
     context.store.require_writable()

@@ -49,30 +49,20 @@ class StandardsAnswer(BaseModel):
     )
 
 
-@router.get(
-    "",
-    dependencies=READABLE,
-)
+@router.get("", dependencies=READABLE)
 async def list_products(context: Context) -> ProductsDocument:
     """List the products: the newest version of each."""
     return ProductsDocument(items=await context.store.read(products))
 
 
-@router.get(
-    "/standards",
-    dependencies=READABLE,
-)
+@router.get("/standards", dependencies=READABLE)
 async def standards() -> StandardsAnswer:
     """List the sieve sets and specifications that have a name."""
     sets = list(known_standards().sieve_sets.values())
     return StandardsAnswer(sieve_sets=sets, specifications=specification_names())
 
 
-@router.put(
-    "/{product}",
-    dependencies=CONFIGURABLE,
-    responses=problem_responses(409, 412),
-)
+@router.put("/{product}", dependencies=CONFIGURABLE, responses=problem_responses(409))
 async def put_product(
     context: Context,
     product: NewProductName,
@@ -96,12 +86,7 @@ async def put_product(
     return saved
 
 
-@router.get(
-    "/{product}",
-    response_model=Product,
-    dependencies=READABLE,
-    responses={**NOT_MODIFIED, **problem_responses(404)},
-)
+@router.get("/{product}", response_model=Product, dependencies=READABLE, responses=NOT_MODIFIED)
 async def product(
     context: Context,
     request: HttpRequest,

@@ -52,9 +52,7 @@ MESH: Responses = {
 }
 
 
-@router.get(
-    "/{particle_id}/mesh", response_class=Response, responses={**MESH, **problem_responses(404, 406, 410)}
-)
+@router.get("/{particle_id}/mesh", response_class=Response, responses={**MESH, **problem_responses(406, 410)})
 async def mesh(context: Context, request: Request, particle_id: ParticleKey) -> Response:
     """Get the mesh in the format that `Accept` prefers: PLY or STL in mm with z up, or GLB in metres with y up.
 
@@ -73,9 +71,7 @@ async def mesh(context: Context, request: Request, particle_id: ParticleKey) -> 
 
 
 @router.get(
-    "/{particle_id}/mesh.{mesh_format}",
-    response_class=Response,
-    responses={**MESH, **problem_responses(404, 410)},
+    "/{particle_id}/mesh.{mesh_format}", response_class=Response, responses={**MESH, **problem_responses(410)}
 )
 async def mesh_file(
     context: Context,
@@ -91,9 +87,7 @@ async def mesh_file(
 
 
 @router.get(
-    "/{particle_id}/calipers",
-    response_model=Contacts,
-    responses={**NOT_MODIFIED, **problem_responses(404, 410)},
+    "/{particle_id}/calipers", response_model=Contacts, responses={**NOT_MODIFIED, **problem_responses(410)}
 )
 async def calipers(context: Context, request: Request, particle_id: ParticleKey) -> Response:
     """Get the caliper points: where length, width, thickness, both Feret diameters and the sieve touch the mesh.
@@ -151,7 +145,7 @@ async def silhouette(
 @router.get(
     "/{particle_id}/views/{camera}/outline.svg",
     response_class=Response,
-    responses={200: {"content": {"image/svg+xml": {}}}, **NOT_MODIFIED, **problem_responses(404, 410)},
+    responses={200: {"content": {"image/svg+xml": {}}}, **NOT_MODIFIED, **problem_responses(410)},
 )
 async def outline(
     context: Context, request: Request, particle_id: ParticleKey, camera: CameraName

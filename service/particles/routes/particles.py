@@ -17,7 +17,7 @@ from service.web.context import ApiContext, Context
 from service.web.etags import NOT_MODIFIED, etag, unchanged
 from service.web.feeds import MAX_SEQ, MAX_SMALL
 from service.web.gzipped import TakesGzip
-from service.web.problems import existing, problem_responses
+from service.web.problems import existing
 from service.web.version import API_VERSION
 
 router = APIRouter(prefix="/particles", tags=["particles"], dependencies=READABLE)
@@ -114,7 +114,7 @@ async def particles(
     return Response(page, media_type="application/json")
 
 
-@router.get("/{particle_id}", response_model=Result, responses={**NOT_MODIFIED, **problem_responses(404)})
+@router.get("/{particle_id}", response_model=Result, responses=NOT_MODIFIED)
 async def particle(context: Context, request: Request, particle_id: ParticleKey) -> Response:
     """Get a result; its `ETag` changes with its revision, its lot, its pin and the removal of its files."""
     record = await find_record(context, particle_id)

@@ -31,10 +31,7 @@ class Pin(BaseModel):
 
 
 @router.put(
-    "/{particle_id}/pin",
-    response_model=Result,
-    dependencies=OPERABLE,
-    responses=problem_responses(404, 412),
+    "/{particle_id}/pin", response_model=Result, dependencies=OPERABLE, responses=problem_responses(404)
 )
 async def pin_particle(
     context: Context, particle_id: ParticleKey, wanted: Pin, asking: Who, if_match: IfMatch = None

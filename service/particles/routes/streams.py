@@ -47,11 +47,7 @@ Cursor = Annotated[int, Depends(cursor)]
 Allow = Annotated[StillAllowed, Depends(still_allowed)]
 
 
-@router.get(
-    "/results/stream",
-    response_class=EventStream,
-    responses=problem_responses(409, 410),
-)
+@router.get("/results/stream", response_class=EventStream, responses=problem_responses(409, 410))
 async def results_stream(
     request: Request, context: Context, names: ChosenFields, after: Cursor, allow: Allow
 ) -> OpenStream:
@@ -64,11 +60,7 @@ async def results_stream(
     return await open_stream(context, choosing(RESULT_STREAM, names), after, request, allow)
 
 
-@router.get(
-    "/events/stream",
-    response_class=EventStream,
-    responses=problem_responses(409, 410),
-)
+@router.get("/events/stream", response_class=EventStream, responses=problem_responses(409, 410))
 async def events_stream(request: Request, context: Context, after: Cursor, allow: Allow) -> OpenStream:
     """Stream the events as server-sent events: `/events`, each by its type, like `/results/stream`."""
     return await open_stream(context, EVENT_STREAM, after, request, allow)

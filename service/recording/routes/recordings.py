@@ -33,12 +33,7 @@ async def recordings(context: Context) -> RecordingsAnswer:
     return RecordingsAnswer(items=await context.part(Recordings).all())
 
 
-@router.post(
-    "",
-    status_code=201,
-    dependencies=OPERABLE,
-    responses=problem_responses(409, 507),
-)
+@router.post("", status_code=201, dependencies=OPERABLE, responses=problem_responses(507))
 async def start_recording(
     context: Context, wanted: RecordingRequest, response: Response, asking: Who
 ) -> RecordingStatus:
@@ -54,7 +49,7 @@ async def start_recording(
     "/{name}.tar",
     response_class=StreamingResponse,
     dependencies=READABLE,
-    responses={200: {"content": {"application/x-tar": {}}}, **problem_responses(404, 409)},
+    responses={200: {"content": {"application/x-tar": {}}}, **problem_responses(409)},
 )
 async def download_recording(context: Context, name: RecordingName) -> StreamingResponse:
     """Download a recording: all its files as one tar file; 409 while it is under way."""
@@ -77,7 +72,7 @@ async def download_recording(context: Context, name: RecordingName) -> Streaming
     status_code=204,
     response_class=Response,
     dependencies=OPERABLE,
-    responses=problem_responses(404, 409),
+    responses=problem_responses(409),
 )
 async def delete_recording(context: Context, name: RecordingName, asking: Who) -> None:
     """Delete a recording and all its files; 409 while it is under way."""
@@ -87,21 +82,13 @@ async def delete_recording(context: Context, name: RecordingName, asking: Who) -
     await context.store.note_change(asking, "recording deleted", name, before=_facts(before))
 
 
-@router.get(
-    "/{name}",
-    dependencies=READABLE,
-    responses=problem_responses(404),
-)
+@router.get("/{name}", dependencies=READABLE)
 async def recording(context: Context, name: RecordingName) -> RecordingStatus:
     """Get a recording."""
     return existing(await context.part(Recordings).find(name), "recording", repr(name))
 
 
-@router.post(
-    "/{name}/stop",
-    dependencies=OPERABLE,
-    responses=problem_responses(404),
-)
+@router.post("/{name}/stop", dependencies=OPERABLE)
 async def stop_recording(context: Context, name: RecordingName, asking: Who) -> RecordingStatus:
     """End a recording early: keep what it has, and answer when it is complete. Repeating changes nothing."""
     recordings = context.part(Recordings)

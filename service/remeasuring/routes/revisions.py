@@ -8,7 +8,6 @@ from service.remeasuring.remeasuring import Remeasuring
 from service.results.fields import Result, completed
 from service.web.auth import OPERABLE, Who
 from service.web.context import Context
-from service.web.problems import problem_responses
 
 router = APIRouter(prefix="/particles", tags=["particles"])
 
@@ -42,12 +41,7 @@ class Ordered(BaseModel):
     )
 
 
-@router.post(
-    "/{particle_id}/revisions",
-    response_model=Remeasured,
-    dependencies=OPERABLE,
-    responses=problem_responses(404, 409),
-)
+@router.post("/{particle_id}/revisions", response_model=Remeasured, dependencies=OPERABLE)
 async def remeasure_particle(
     context: Context, particle_id: ParticleKey, asking: Who, delivery: Delivery | None = None
 ) -> Remeasured:
@@ -68,12 +62,7 @@ async def remeasure_particle(
     return Remeasured(is_new=is_new, result=Result(**completed(await find_record(context, name))))
 
 
-@router.post(
-    "/{particle_id}/revisions/orders",
-    response_model=Ordered,
-    dependencies=OPERABLE,
-    responses=problem_responses(404, 409),
-)
+@router.post("/{particle_id}/revisions/orders", response_model=Ordered, dependencies=OPERABLE)
 async def order_revision(context: Context, particle_id: ParticleKey) -> Ordered:
     """Order a stone to be measured again elsewhere: for `stonefall remeasure --executor` on the daemon's host.
 

@@ -58,7 +58,7 @@ async def curve_request_of(
 Drawing = Annotated[CurveRequest, Depends(curve_request_of)]
 
 
-@router.get("/lots/{lot}/curve.svg", response_class=Response, responses={**SVG, **problem_responses(404)})
+@router.get("/lots/{lot}/curve.svg", response_class=Response, responses=SVG)
 async def lot_curve(
     context: Context, asked: HttpRequest, lot: LotName, wanted: Drawing, choosing: Choosing
 ) -> Response:

@@ -27,11 +27,7 @@ REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 ReportLanguage = Annotated[Language, Query(description="Language of the report")]
 
 
-@router.get(
-    "/{lot}/report",
-    response_class=Response,
-    responses={**REPORTS, **problem_responses(404, 406)},
-)
+@router.get("/{lot}/report", response_class=Response, responses={**REPORTS, **problem_responses(406)})
 async def report(
     context: Context,
     asked: HttpRequest,
@@ -49,11 +45,7 @@ async def report(
     return await _report(context, lot, list(ReportFormat)[choice], language, measuring)
 
 
-@router.get(
-    "/{lot}/report.{report_format}",
-    response_class=Response,
-    responses={**REPORTS, **problem_responses(404)},
-)
+@router.get("/{lot}/report.{report_format}", response_class=Response, responses=REPORTS)
 async def report_file(
     context: Context,
     lot: LotName,

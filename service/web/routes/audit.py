@@ -39,11 +39,7 @@ async def audit(
     return AuditPage(items=await context.store.read(entries, subject, after, limit))
 
 
-@router.get(
-    "/audit.csv",
-    response_class=StreamingResponse,
-    responses={200: {"content": {"text/csv": {}}}},
-)
+@router.get("/audit.csv", response_class=StreamingResponse, responses={200: {"content": {"text/csv": {}}}})
 async def audit_csv(context: Context, subject: Subject = None, after: After = 0) -> StreamingResponse:
     """Download the audit as CSV (RFC 4180): oldest first, `before` and `after` as JSON."""
     first = await _page(context, subject, after)

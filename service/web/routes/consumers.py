@@ -58,12 +58,7 @@ async def list_consumers(context: Context) -> dict[str, Any]:
     return {"items": [asdict(consumer) for consumer in await context.store.read(consumers)]}
 
 
-@router.get(
-    "/{name}/cursor",
-    response_model=ParkedCursor,
-    dependencies=READABLE,
-    responses={**NOT_MODIFIED, **problem_responses(404)},
-)
+@router.get("/{name}/cursor", response_model=ParkedCursor, dependencies=READABLE, responses=NOT_MODIFIED)
 async def parked_cursor(context: Context, request: Request, response: Response, name: ConsumerName) -> Any:
     """Get the cursor of a consumer; its `ETag` is for `If-Match` where two clients share the name."""
     found = existing(await context.store.read(_find, name), "consumer", repr(name))
@@ -75,7 +70,7 @@ async def parked_cursor(context: Context, request: Request, response: Response, 
     "/{name}/cursor",
     response_model=ConsumerDocument,
     dependencies=OPERABLE,
-    responses=problem_responses(409, 410, 412),
+    responses=problem_responses(409, 410),
 )
 async def park_cursor(
     context: Context, response: Response, name: ConsumerName, cursor: Cursor, if_match: IfMatch = None
@@ -100,13 +95,7 @@ async def park_cursor(
     return asdict(parked)
 
 
-@router.delete(
-    "/{name}",
-    status_code=204,
-    response_class=Response,
-    dependencies=OPERABLE,
-    responses=problem_responses(404),
-)
+@router.delete("/{name}", status_code=204, response_class=Response, dependencies=OPERABLE)
 async def delete_consumer(context: Context, name: ConsumerName, asking: Who) -> None:
     """Forget a consumer: nothing is kept for it any more."""
     context.store.require_writable()

@@ -22,11 +22,7 @@ class ConfigurationDocument(ConfigurationState):
     )
 
 
-@router.get(
-    "",
-    response_model=ConfigurationDocument,
-    dependencies=CONFIGURABLE,
-)
+@router.get("", response_model=ConfigurationDocument, dependencies=CONFIGURABLE)
 async def configuration(context: Context) -> dict[str, Any]:
     """Get the settings that the daemon works with: of its start, or of the last reload (SIGHUP).
 

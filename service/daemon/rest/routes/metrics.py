@@ -18,9 +18,7 @@ KEEP_S = 1.0
 
 
 @router.get(
-    "",
-    response_class=Response,
-    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+    "", response_class=Response, responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}}
 )
 async def metrics(context: Context) -> Response:
     """Get the metrics in Prometheus' text format: stones, delays, queue, cameras, health, calibration."""

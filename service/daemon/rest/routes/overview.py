@@ -23,11 +23,7 @@ def _overviews(request: Request) -> Overviews:
 Made = Annotated[Overviews, Depends(_overviews)]
 
 
-@router.get(
-    "",
-    response_model=OverviewDocument,
-    dependencies=READABLE,
-)
+@router.get("", response_model=OverviewDocument, dependencies=READABLE)
 async def overview(overviews: Made) -> Response:
     """Get the overview: state, lot, main figures, counts, cameras, alarms and the newest stones in one document.
 
