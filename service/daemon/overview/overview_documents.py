@@ -9,7 +9,7 @@ from pipeline.frames import CameraId
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.specification import Verdict
 from service.base.schema import TIME
-from service.base.status import AcquisitionStatus, CameraOptics, CameraStatus, DeviceState, Ne107
+from service.base.status import CameraOptics, CameraStatus, DeviceState, Ne107
 from service.health.alarms.alarm import AlarmState
 from service.health.alarms.rules import Priority
 from service.lots.figures import Decision
@@ -193,23 +193,7 @@ PASSING: Mapping[str, Any] = {
 """Fields that time alone changes: they make no new overview."""
 
 
-def acquisition_in_short(status: AcquisitionStatus) -> OverviewAcquisition:
-    """Return the state of the rig in short."""
-    return OverviewAcquisition(state=status.state, trouble=status.trouble, activity=status.activity)
-
-
 def camera_in_short(status: CameraStatus) -> OverviewCamera:
     """Return the state of a camera in short."""
     optics = status.optics or CameraOptics()
-    return OverviewCamera(
-        id=status.id,
-        state=status.state,
-        ne107=status.ne107,
-        brightness=optics.brightness,
-        dust=optics.dust,
-        edge_width_px=optics.edge_width_px,
-        lost=status.lost,
-        temperature_c=status.temperature_c,
-        last_frame_age_s=status.last_frame_age_s,
-        warnings=list(status.warnings),
-    )
+    return OverviewCamera.model_validate({**dict(optics), **dict(status)})

@@ -19,6 +19,7 @@ from service.base.errors import ServiceError, StoreError
 from service.calibration.calibrations import Calibrations
 from service.daemon.overview.overview_documents import (
     PASSING,
+    OverviewAcquisition,
     OverviewAlarm,
     OverviewAlarms,
     OverviewDocument,
@@ -26,7 +27,6 @@ from service.daemon.overview.overview_documents import (
     OverviewLatency,
     OverviewQueue,
     OverviewVerification,
-    acquisition_in_short,
     camera_in_short,
 )
 from service.daemon.overview.overview_rows import Rows, overview_figures, overview_rows
@@ -173,12 +173,8 @@ def _document(
         instance_id=store.instance_id,
         is_simulated=rows.is_simulated,
         is_replay=rows.is_replay,
-        acquisition=acquisition_in_short(facts.acquisition),
-        ne107=health.ne107,
-        gate_ne107=health.gate_ne107,
-        rig_ne107=health.rig_ne107,
-        ready=health.ready,
-        reasons=list(health.reasons),
+        acquisition=OverviewAcquisition(**dict(facts.acquisition)),
+        **{name: getattr(health, name) for name in ("ne107", "gate_ne107", "rig_ne107", "ready", "reasons")},
         lot=rows.lot,
         figures=figures,
         stones_per_min=rows.stones_per_min,
