@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 
-PACKAGES = ("pipeline", "drivers", "service", "research", "deploy", "tests")
+PACKAGES = ("pipeline", "drivers", "service", "deploy", "tests")
 ROOTS = ("", "deploy/", "tests/")
 """Where Python looks for modules: `service.x`, `gate.x`, `support.x`."""
 STARTS = {"stonefall": "service/commands/cli.py"}

@@ -74,7 +74,7 @@ def build_app(names: Iterable[str] = COMMANDS) -> typer.Typer:
 
 
 def is_installed(module: str) -> bool:
-    """True unless the module is one of `research/` in a plant's installation, which has none of it."""
+    """True unless the module is one of `tests/research/` in a plant's installation, which has none of it."""
     return find_spec(module.partition(".")[0]) is not None
 
 

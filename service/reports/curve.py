@@ -13,8 +13,8 @@ from service.lots.figures import CurveStep
 from service.reports.drawing import (
     LABEL_SIZE,
     Anchor,
+    ChartField,
     Drawing,
-    Field,
     Point,
     Shape,
     Sign,
@@ -29,7 +29,7 @@ from service.reports.drawing import (
 )
 from service.reports.words import Words, words
 
-FIELD = Field(top=14.0, bottom=314.0)
+FIELD = ChartField(top=14.0, bottom=314.0)
 MARGIN = 1.12
 """The axis ends beyond the first and the last sieve by this factor."""
 HATCH_DISTANCE = 7.0

@@ -144,7 +144,7 @@ def _points(points: Iterable[Point]) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Field:
+class ChartField:
     """The field of a chart, within its axes."""
 
     left: float = 58.0

@@ -15,8 +15,8 @@ from service.reports.drawing import (
     DRAWING_WIDTH,
     LABEL_SIZE,
     Anchor,
+    ChartField,
     Drawing,
-    Field,
     Point,
     Shape,
     Sign,
@@ -31,7 +31,7 @@ from service.reports.drawing import (
 )
 from service.reports.words import Words, words
 
-FIELD = Field(top=26.0, bottom=190.0)
+FIELD = ChartField(top=26.0, bottom=190.0)
 LOTS_TOP, LOTS_BOTTOM = FIELD.bottom + 24, FIELD.bottom + 40
 MAX_TICKS = 8
 DOT_RADIUS = 2.6

@@ -20,12 +20,12 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from research.accuracy import BenchPlan, BenchResult, RigName, run_accuracy_bench
 from support.printed import show
 
 from pipeline.evaluation.trials import STANDARDS, Trial, random_body
 from pipeline.synthesis.bodies import Looks, SurfaceKind
 from pipeline.synthesis.exposure import LensPreset
-from research.accuracy import BenchPlan, BenchResult, RigName, run_accuracy_bench
 
 STONES = ("dented", "rough", "irregular")
 TEXTURES = (SurfaceKind.MOTTLED, SurfaceKind.GRANITE, SurfaceKind.BANDED)

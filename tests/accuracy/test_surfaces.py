@@ -16,11 +16,11 @@ from accuracy.surfaces import (
     plan_of,
     volume_percent,
 )
+from research.accuracy import run_accuracy_bench
 from rich.console import Console
 
 from pipeline.synthesis.bodies import SurfaceKind
 from pipeline.synthesis.exposure import LensPreset
-from research.accuracy import run_accuracy_bench
 
 PLAN = plan_of(seed=41, count=1, lens=LensPreset.F8, rigs=("true",))
 

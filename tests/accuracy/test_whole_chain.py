@@ -8,14 +8,14 @@ from statistics import fmean
 
 import numpy as np
 import pytest
+from research.accuracy import BenchPlan, BenchResult, run_accuracy_bench
+from research.benchmark import FILE_TABLE_WIDTH
+from research.tables import accuracy_table
 from rich.console import Console
 
 from pipeline.evaluation.trials import STANDARDS, Method, Trial
 from pipeline.synthesis.irregular_bodies import IRREGULAR_FORMS
 from pipeline.synthesis.stones import STONE_FORMS
-from research.accuracy import BenchPlan, BenchResult, run_accuracy_bench
-from research.benchmark import FILE_TABLE_WIDTH
-from research.tables import accuracy_table
 
 PLAN = BenchPlan(
     poses=dict.fromkeys(STANDARDS, 10) | dict.fromkeys(STONE_FORMS, 2) | dict.fromkeys(IRREGULAR_FORMS, 1),

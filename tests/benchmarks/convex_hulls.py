@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from research.performance import measured, worker_context
 from support.printed import show
 
 from pipeline.arrays import Directions, PointsMM, Vector
@@ -36,7 +37,6 @@ from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import stone
 from pipeline.views.prepared import prepare_views
-from research.performance import measured, worker_context
 from service.processing.compiled_code import isolate_numba_cache
 from service.processing.measure_job import initialize
 

@@ -188,6 +188,7 @@ RUNS: Mapping[str, Run] = {
 def measure(name: str) -> dict[str, dict[str, Any]]:
     """Run a command, and return its figures by name with where they are from."""
     from research.performance import processor_gflops
+
     from service.results.version import ALGORITHM_VERSION
 
     run = RUNS[name]

@@ -25,13 +25,13 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from research.performance import worker_context
 from support.daemon_process import STONEFALL, DaemonProcess, descendants_of
 from support.printed import show
 from support.small_recording import write_small_recording
 from support.usage import cpu_s, own_mb, rss_mb
 
 from pipeline.segmentation.segmenter_choice import SegmenterKind
-from research.performance import worker_context
 from service.processing.measure_job import initialize
 
 COLD_S, WARM_S = 20.0, 5.0

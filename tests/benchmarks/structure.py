@@ -25,7 +25,7 @@ import networkx
 from rich.console import Console
 from rich.table import Table
 
-PACKAGES = ("service", "drivers", "pipeline", "research")
+PACKAGES = ("service", "drivers", "pipeline")
 ROOT = Path(__file__).parents[2]
 Documented = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module
 MIRRORED_SHARE, LEAST_FIELDS = 0.7, 3

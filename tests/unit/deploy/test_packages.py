@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[3]
 
 def test_the_wheel_has_pages_and_packages_with_their_licence(tmp_path: Path) -> None:
     source = tmp_path / "source"
-    for name in ("service", "drivers", "pipeline", "research"):
+    for name in ("service", "drivers", "pipeline", "tests/research"):
         shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__", "packages"))
     for name in ("pyproject.toml", "README.md"):
         shutil.copy(ROOT / name, source / name)

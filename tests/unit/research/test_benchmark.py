@@ -7,15 +7,15 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from research import performance as performance_bench
+from research import scaling as scaling_bench
+from research.accuracy import BenchPlan, BenchResult
+from research.tables import size_table
 from support.networks import darkness_network
 from typer.testing import CliRunner, Result
 
 from pipeline.evaluation.surface_distances import SurfaceDistances
 from pipeline.evaluation.trials import METHODS, ShapeErrors, Trial
-from research import performance as performance_bench
-from research import scaling as scaling_bench
-from research.accuracy import BenchPlan, BenchResult
-from research.tables import size_table
 from service.commands.cli import build_app
 
 RUNNER = CliRunner()

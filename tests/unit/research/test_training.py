@@ -4,8 +4,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-
 from research.training import TrainingPlan, train_network
+
 from service.base.errors import UsageError
 
 

@@ -162,7 +162,7 @@ def _time_grid(silhouettes: SilhouetteSet, rig: RigCalibration, n: int, repeat: 
         times_s.append(time.process_time())
         mesh = mesh_hull(hull)
         times_s.append(time.process_time())
-        assert mesh is not None  # noqa: S101 - it was measured before
+        assert mesh is not None
         solid_of(mesh.vertices_mm, mesh.faces)
         times_s.append(time.process_time())
         n_faces = len(mesh.faces)
