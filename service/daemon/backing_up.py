@@ -8,6 +8,7 @@ from service.base.errors import StoreError
 from service.base.status import Checks, trouble_check
 from service.configuration.settings import StoreSettings
 from service.store import Store
+from service.store.history import backups_in
 
 log = logging.getLogger(__name__)
 
@@ -52,7 +53,7 @@ class BackingUp:
 
     def _due_in_s(self) -> float:
         try:
-            newest = self._store.last_backup()
+            newest = max(backups_in(self._store.dir), default=None)
             age_s = self._every_s if newest is None else time.time() - newest.stat().st_mtime
         except OSError:
             return 0.0

@@ -45,6 +45,8 @@ from service.recording.recordings import Recordings, open_recordings
 from service.remeasuring.remeasuring import Remeasuring, new_pool
 from service.store import Store
 from service.store.events import EventType, NewEvent
+from service.store.reads import gate_count
+from service.store.writes import note_calibration
 from service.web.key_ring import KeyRing
 from service.web.reader_process import Reading
 
@@ -69,7 +71,7 @@ async def build(configured: Configuration, store: Store, reading: Reading, reque
     watches = _build_watches(session, worker_context.segmentation)
     recordings = await asyncio.to_thread(_open_recordings, session)
     calibrations = await _open_calibrations(session, watches.rig, recordings)
-    if (counted := await store.gate_count()) is not None:
+    if (counted := await store.read(gate_count)) is not None:
         session.devices.gate.resume(*counted)
     spool, archive = _build_queue(session)
     pool = _build_pool(session, worker_context)
@@ -146,7 +148,7 @@ async def _open_calibrations(session: Session, rig_watch: RigWatch, recordings: 
     async def on_activated(rig: RigCalibration, activation: Activation) -> None:
         rig_watch.restart(rig)
         recordings.use_rig(rig)
-        await session.store.note_calibration(session.number, rig.calibration_id)
+        await session.store.write_soon(note_calibration, session.number, rig.calibration_id)
         activated = EventType.CALIBRATION_ACTIVATED
         session.events.note(NewEvent(type=activated, subject=activation.id, data=asdict(activation)))
 

@@ -16,7 +16,7 @@ from service.base.redaction import redacted
 from service.base.status import Checks, ConfigurationState, trouble_check
 from service.configuration.settings import Settings, load_settings, problems
 from service.store import Store
-from service.store.audit import CONFIGURATION, note_alone
+from service.store.audit import CONFIGURATION, note
 
 log = logging.getLogger(__name__)
 
@@ -63,7 +63,7 @@ class Configuration:
         if applied:
             before, after = ({name: _at(settings, name) for name in applied} for settings in (old, live))
             try:
-                await store.write(note_alone, "SIGHUP", CONFIGURATION, str(self._file), before, after)
+                await store.write(note, "SIGHUP", CONFIGURATION, str(self._file), before=before, after=after)
             except StoreError as err:  # of a store that is damaged, which health has told
                 log.error("the audit cannot note the configuration: %s", err)
 

@@ -27,6 +27,7 @@ from service.daemon.stopping import StopRequests
 from service.daemon.systemd import EXTENSION_US, ServiceManager, feed_watchdog, reloading
 from service.processing.process_memory import freeze_gc, keep_freed_memory
 from service.store import Store, open_store
+from service.store.accounting import accounting
 from service.store.trouble import TroubleCause, trouble_of
 from service.web.reader_process import ReaderProcess
 from service.web.server import RestServer, listen, server_config
@@ -139,7 +140,7 @@ async def _serving(
 
 async def _tell_accounting(session: Session, running: Running) -> None:
     with suppress(StoreError):  # of a store that is damaged, which health has told
-        log.info("stopped %s", await session.store.accounting(session.number))
+        log.info("stopped %s", await session.store.read(accounting, session.number))
 
 
 @asynccontextmanager

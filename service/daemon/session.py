@@ -19,6 +19,7 @@ from service.results.fields import LossReason
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store
 from service.store.event_log import EventLog
+from service.store.reads import open_triggers
 
 log = logging.getLogger(__name__)
 
@@ -87,8 +88,8 @@ async def _take_over(
 
     The others are recorded beside what falls now: there may be thousands, and nothing waits for them.
     """
-    open_triggers = await store.open_triggers(await asyncio.to_thread(bundles_in, folder))
-    left = await asyncio.to_thread(take_over, folder, session, open_triggers, camera_ids, quarantine)
+    left_open = await store.read(open_triggers, store.session, await asyncio.to_thread(bundles_in, folder))
+    left = await asyncio.to_thread(take_over, folder, session, left_open, camera_ids, quarantine)
     lost = await _lose_crashed(store, left)
     if lost or left:
         log.error("the daemon had crashed triggers_lost=%d bundles_to_measure=%d", lost, len(left))

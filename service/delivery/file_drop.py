@@ -20,7 +20,6 @@ from service.base.status import Checks, trouble_check
 from service.delivery.abandonable import start_abandonable
 from service.delivery.settings import DropFormat, FileDropSettings
 from service.store import Store
-from service.store.schema import transaction
 
 log = logging.getLogger(__name__)
 
@@ -89,7 +88,7 @@ class FileDrop:
             pause_s = await self._look(self._settings, make_files)
             with suppress(TimeoutError):
                 async with asyncio.timeout(pause_s):
-                    await self._store.wait_beyond_event(last_event)
+                    await self._store.wait_while(lambda: self._store.last_event <= last_event)  # noqa: B023 - awaited at once
 
     async def _look(self, settings: FileDropSettings, make_files: MakeFiles) -> float | None:
         """Write what is due; return how long to wait for the next look, None: until something happens."""
@@ -147,15 +146,14 @@ def write_files(settings: FileDropSettings, files: Mapping[Path, bytes], *, is_f
 
 def begin_file_drop(connection: sqlite3.Connection) -> None:
     """Note at the first start with a folder that lots closed until now are not due."""
-    with transaction(connection):
-        is_first = connection.execute(
-            "INSERT OR IGNORE INTO file_drop (one, began_at) VALUES (1, ?)", (utc_now(),)
-        ).rowcount
-        if is_first:
-            connection.execute(
-                "INSERT INTO dropped_lots (lot, revision, at) SELECT lot, revision, ? FROM lots WHERE state <> 'open'",
-                (utc_now(),),
-            )
+    is_first = connection.execute(
+        "INSERT OR IGNORE INTO file_drop (one, began_at) VALUES (1, ?)", (utc_now(),)
+    ).rowcount
+    if is_first:
+        connection.execute(
+            "INSERT INTO dropped_lots (lot, revision, at) SELECT lot, revision, ? FROM lots WHERE state <> 'open'",
+            (utc_now(),),
+        )
 
 
 def due_lots(connection: sqlite3.Connection) -> DueLots:
@@ -173,11 +171,10 @@ def due_lots(connection: sqlite3.Connection) -> DueLots:
 
 def note_dropped(connection: sqlite3.Connection, lot: str, revision: int) -> None:
     """Note that the files of a revision are written."""
-    with transaction(connection):
-        connection.execute(
-            "INSERT OR REPLACE INTO dropped_lots (lot, revision, at) VALUES (?, ?, ?)",
-            (lot, revision, utc_now()),
-        )
+    connection.execute(
+        "INSERT OR REPLACE INTO dropped_lots (lot, revision, at) VALUES (?, ?, ?)",
+        (lot, revision, utc_now()),
+    )
 
 
 def _words(settings: FileDropSettings, error: StoreError | OSError) -> str:

@@ -14,7 +14,6 @@ from service.base.schema import ANSWER, Time
 from service.delivery.progress import EndpointProgress, enabled, replayed
 from service.store import audit
 from service.store.events import EventType, event_ends
-from service.store.schema import transaction
 
 PROGRESS = TypeAdapter(EndpointProgress)
 MAX_DELIVERIES = 500
@@ -73,12 +72,11 @@ class Due:
 
 def begin(connection: sqlite3.Connection, names: Iterable[str]) -> None:
     """Begin new endpoints at the events from now on."""
-    with transaction(connection):
-        (last,) = connection.execute("SELECT last_event FROM store").fetchone()
-        first = json.dumps(asdict(EndpointProgress(after=last)))
-        connection.executemany(
-            "INSERT OR IGNORE INTO webhooks (name, progress) VALUES (?, ?)", [(name, first) for name in names]
-        )
+    (last,) = connection.execute("SELECT last_event FROM store").fetchone()
+    first = json.dumps(asdict(EndpointProgress(after=last)))
+    connection.executemany(
+        "INSERT OR IGNORE INTO webhooks (name, progress) VALUES (?, ?)", [(name, first) for name in names]
+    )
 
 
 def progress_of(connection: sqlite3.Connection, name: str) -> EndpointProgress:
@@ -122,20 +120,18 @@ def note(
 
     A request since `before`, as to enable it, takes precedence: then only the attempt is noted.
     """
-    with transaction(connection):
-        _add(connection, name, delivery)
-        now = progress_of(connection, name)
-        if now != before:
-            return now
-        _keep(connection, name, after)
-        return after
+    _add(connection, name, delivery)
+    now = progress_of(connection, name)
+    if now != before:
+        return now
+    _keep(connection, name, after)
+    return after
 
 
 def note_trial(connection: sqlite3.Connection, name: str, delivery: Attempt, who: str) -> None:
     """Note the test of an endpoint, and its requester."""
-    with transaction(connection):
-        _add(connection, name, delivery)
-        audit.note(connection, who, "webhook tested", name, after=asdict(delivery))
+    _add(connection, name, delivery)
+    audit.note(connection, who, "webhook tested", name, after=asdict(delivery))
 
 
 def deliveries(connection: sqlite3.Connection, name: str, limit: int) -> list[Attempt]:
@@ -148,19 +144,17 @@ def deliveries(connection: sqlite3.Connection, name: str, limit: int) -> list[At
 
 def enable(connection: sqlite3.Connection, name: str, who: str) -> EndpointProgress:
     """Try an endpoint again at once, whether it was disabled or waits."""
-    with transaction(connection):
-        before = progress_of(connection, name)
-        return _change(connection, name, who, "webhook enabled", before, enabled(before))
+    before = progress_of(connection, name)
+    return _change(connection, name, who, "webhook enabled", before, enabled(before))
 
 
 def replay(connection: sqlite3.Connection, name: str, after: int, who: str) -> EndpointProgress:
     """Post all events after a number to an endpoint again; raise `EventCursorError` if they are not there."""
-    with transaction(connection):
-        first_seq, last_seq = event_ends(connection)
-        if not first_seq - 1 <= after <= last_seq:
-            raise EventCursorError(after, first_seq, last_seq)
-        before = progress_of(connection, name)
-        return _change(connection, name, who, "webhook replayed", before, replayed(before, after))
+    first_seq, last_seq = event_ends(connection)
+    if not first_seq - 1 <= after <= last_seq:
+        raise EventCursorError(after, first_seq, last_seq)
+    before = progress_of(connection, name)
+    return _change(connection, name, who, "webhook replayed", before, replayed(before, after))
 
 
 def _add(connection: sqlite3.Connection, name: str, delivery: Attempt) -> None:

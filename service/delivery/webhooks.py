@@ -131,7 +131,8 @@ class Webhooks:
             for name, endpoint in self._endpoints.items():
                 tasks.create_task(self._tell(endpoint, self._told[name]))
             while not self._store.is_released:
-                await self._store.wait_beyond_event(self._store.last_event)
+                last_event = self._store.last_event
+                await self._store.wait_while(lambda: self._store.last_event <= last_event)  # noqa: B023 - awaited at once
                 for told in self._told.values():
                     told.wake.set()
 

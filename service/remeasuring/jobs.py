@@ -17,6 +17,7 @@ from service.results.refinement import RUSH
 from service.results.version import ALGORITHM_VERSION
 from service.store import Record, Store
 from service.store.particle_files import RAW, first_seq
+from service.store.reads import particle
 
 
 class RigFiles(Protocol):
@@ -70,7 +71,7 @@ class Jobs:
         RemeasureError
             It never had frames.
         """
-        record = await self._store.particle(name)
+        record = await self._store.read(particle, name)
         if record is None or record["outcome"] == Outcome.LOST:
             raise RemeasureError(Hindrance.NO_FRAMES, f"{name} never had frames")
         was_rushed = record.get("refinement_fallback") == RUSH

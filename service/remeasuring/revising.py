@@ -12,8 +12,7 @@ from service.remeasuring.hindrance import Hindrance, RemeasureError, require_sou
 from service.store import Record, Store, audit
 from service.store.particle_files import drop_sources
 from service.store.reads import particle
-from service.store.revisions import add_revision
-from service.store.schema import transaction
+from service.store.writes import add_revision
 
 log = logging.getLogger(__name__)
 
@@ -36,6 +35,7 @@ async def revise(store: Store, before: Record, record: Record, folder: Path, who
     files = {name: path for name in RESULT_FILES if (path := folder / name).is_file()}
     seq = await store.write(_revise, store.particles_dir, before, record, files, who)
     if seq is not None:
+        drop_sources(files)
         log.info("measured again id=%s seq=%d by=%s", before["id"], seq, who)
     return seq is not None
 
@@ -50,18 +50,16 @@ def _revise(
 ) -> int | None:
     """Add a revision and return its `seq`; None if `before` is not the stone's newest result any more."""
     name = before["id"]
-    with transaction(connection):
-        newest = particle(connection, name)
-        if newest is not None and newest["seq"] != before["seq"]:
-            return None
-        seq = add_revision(connection, particles_dir, name, record, files)
-        after = None if seq is None else particle(connection, seq)
-        if after is None:
-            raise RemeasureError(Hindrance.NO_FRAMES, f"the files of {name} were just removed")
-        if after["lot"] is not None:
-            note_revised(connection, after["lot"])
-        audit.note(connection, who, "particle remeasured", name, before=_noted(before), after=_noted(after))
-    drop_sources(files)
+    newest = particle(connection, name)
+    if newest is not None and newest["seq"] != before["seq"]:
+        return None
+    seq = add_revision(connection, particles_dir, name, record, files)
+    after = None if seq is None else particle(connection, seq)
+    if after is None:
+        raise RemeasureError(Hindrance.NO_FRAMES, f"the files of {name} were just removed")
+    if after["lot"] is not None:
+        note_revised(connection, after["lot"])
+    audit.note(connection, who, "particle remeasured", name, before=_noted(before), after=_noted(after))
     return seq
 
 

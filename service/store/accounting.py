@@ -1,11 +1,17 @@
 """The balance of triggers: `triggers = measured + rejected + lost + in_progress`, each counted by itself."""
 
+import sqlite3
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pydantic import computed_field
 
 from service.base.schema import ANSWER
+from service.results.fields import Outcome
+
+Counts = Counter[tuple[str, str, str]]
+"""Number of results of each outcome, reason and quality (empty where there is none)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,3 +42,71 @@ class Accounting:
     def is_balanced(self) -> bool:
         """True if every trigger is counted exactly once; `False` is a fault of the store."""
         return self.triggers == self.measured + self.rejected + self.lost + self.in_progress
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutcomeCounts:
+    """Counts of all results, removed ones too, that can be asked for often: only new results are read each time."""
+
+    up_to_seq: int = 0
+    n: Counts = field(default_factory=Counter)
+    in_progress: int = 0  # triggers without an outcome yet
+
+
+def outcome_counts(connection: sqlite3.Connection, known: OutcomeCounts) -> OutcomeCounts:
+    """Return the counts now; `known` are earlier ones, or none."""
+    first_seq, last_seq = connection.execute("SELECT first_seq, last_seq FROM store").fetchone()
+    if known.up_to_seq + 1 < first_seq:  # some were removed before they were counted
+        known = OutcomeCounts()
+    n = known.n + _counted(connection, "listed", "seq > ?", known.up_to_seq)
+    if known.up_to_seq == 0:
+        n += _counted(connection, "removed_results")
+    (in_progress,) = connection.execute("SELECT total(n) FROM triggers WHERE state = 'open'").fetchone()
+    return OutcomeCounts(up_to_seq=last_seq, n=n, in_progress=int(in_progress))
+
+
+def accounting(connection: sqlite3.Connection, session: int | None = None) -> Accounting:
+    """Return the counts of one session, or of all.
+
+    Triggers are counted where they were recorded and outcomes where they are served, so the balance is a check.
+    """
+    condition, given = ("TRUE", ()) if session is None else ("session = ?", (session,))
+    states = Counter(
+        dict(
+            connection.execute(
+                f"SELECT state, sum(n) FROM triggers WHERE {condition} GROUP BY state",  # noqa: S608 - one of two above
+                given,
+            )
+        )
+    )
+    removed = _counted(connection, "removed_results", condition, *given)
+    by_outcome, by_reason, by_quality = Counter[str](), Counter[str](), Counter[str]()
+    for (outcome, reason, quality), n in (
+        _counted(connection, "listed", condition, *given) + removed
+    ).items():
+        by_outcome[outcome] += n
+        if outcome == Outcome.MEASURED:
+            by_quality[quality] += n
+        else:
+            by_reason[reason] += n
+    return Accounting(
+        triggers=states.total()
+        - states["background"]
+        + removed.total(),  # whose rows went with their results
+        measured=by_outcome[Outcome.MEASURED],
+        rejected=by_outcome[Outcome.REJECTED],
+        lost=by_outcome[Outcome.LOST],
+        in_progress=states["open"],
+        backgrounds=states["background"],
+        by_reason=dict(by_reason),
+        by_quality=dict(by_quality),
+    )
+
+
+def _counted(connection: sqlite3.Connection, table: str, condition: str = "TRUE", *given: int) -> Counts:
+    rows = connection.execute(
+        "SELECT outcome, coalesce(reason, ''), coalesce(quality, ''), sum(n)"  # noqa: S608 - constants
+        f" FROM {table} WHERE {condition} GROUP BY outcome, reason, quality",
+        given,
+    )
+    return Counter({(outcome, reason, quality): n for outcome, reason, quality, n in rows})

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from drivers.files.times import utc_ago, utc_now
-from service.store.schema import transaction
 
 KEPT_NS = 24 * 3600 * 10**9
 """For at least this time an answer is kept."""
@@ -24,13 +23,12 @@ class Answer:
 
 def keep_answer(connection: sqlite3.Connection, who: str, key: str, answer: Answer) -> None:
     """Keep an answer, and remove those that are older than a day."""
-    with transaction(connection):
-        connection.execute("DELETE FROM answers WHERE answered_at < ?", (utc_ago(KEPT_NS),))
-        connection.execute(
-            "INSERT OR REPLACE INTO answers (who, key, request, answered_at, status, headers, body)"
-            " VALUES (?, ?, ?, ?, ?, ?, ?)",
-            (who, key, answer.request, utc_now(), answer.status, json.dumps(answer.headers), answer.body),
-        )
+    connection.execute("DELETE FROM answers WHERE answered_at < ?", (utc_ago(KEPT_NS),))
+    connection.execute(
+        "INSERT OR REPLACE INTO answers (who, key, request, answered_at, status, headers, body)"
+        " VALUES (?, ?, ?, ?, ?, ?, ?)",
+        (who, key, answer.request, utc_now(), answer.status, json.dumps(answer.headers), answer.body),
+    )
 
 
 def find_answer(connection: sqlite3.Connection, who: str, key: str) -> Answer | None:

@@ -79,25 +79,13 @@ def note(
     before: Mapping[str, Any] | None = None,
     after: Mapping[str, Any] | None = None,
 ) -> None:
-    """Note a change within the transaction that makes it."""
+    """Note a change within the transaction that makes it, or alone if it was made elsewhere."""
     last, digest = _end_of_chain(connection)
     row = (last + 1, utc_now(), who, action, subject, _text(before), _text(after))
     connection.execute(
         "INSERT INTO audit (entry, at, who, action, subject, before, after, digest) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
         (*row, next_digest(digest, row)),
     )
-
-
-def note_alone(
-    connection: sqlite3.Connection,
-    who: str,
-    action: str,
-    subject: str,
-    before: Mapping[str, Any] | None,
-    after: Mapping[str, Any] | None,
-) -> None:
-    """Note a change that was made elsewhere; the one statement is a transaction of its own."""
-    note(connection, who, action, subject, before=before, after=after)
 
 
 def next_digest(digest: str, row: tuple[object, ...]) -> str:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 from service.base.errors import StoreError
 from service.store.events import NewEvent, note_event
-from service.store.schema import transaction
 from service.store.store import POLL_S, Store
 
 log = logging.getLogger(__name__)
@@ -70,9 +69,8 @@ class EventLog:
 
 
 def _write_all(connection: sqlite3.Connection, changes: Sequence[_Change]) -> None:
-    with transaction(connection):
-        for change in changes:
-            if change.write is not None:
-                change.write(connection)
-            for event in change.events:
-                note_event(connection, event)
+    for change in changes:
+        if change.write is not None:
+            change.write(connection)
+        for event in change.events:
+            note_event(connection, event)

@@ -7,7 +7,6 @@ from typing import Any
 from drivers.files.times import utc_now
 from service.base.errors import ServiceError, TooManyError
 from service.store import audit
-from service.store.schema import transaction
 
 MAX_CONSUMERS = 100
 
@@ -34,18 +33,17 @@ class Consumer:
 
 def pin(connection: sqlite3.Connection, seq: int, reason: str | None, who: str) -> None:
     """Pin a result for this reason, or no longer for None; one that was removed meanwhile stays so."""
-    with transaction(connection):
-        before = _pin_of(connection, seq)
-        connection.execute("DELETE FROM pins WHERE seq = ?", (seq,))
-        if reason is not None:
-            connection.execute(
-                "INSERT INTO pins SELECT seq, ? FROM results WHERE seq = ?",
-                (reason, seq),
-            )
-        after = _pin_of(connection, seq)
-        if after != before:
-            action = "particle unpinned" if after is None else "particle pinned"
-            audit.note(connection, who, action, str(seq), before=before, after=after)
+    before = _pin_of(connection, seq)
+    connection.execute("DELETE FROM pins WHERE seq = ?", (seq,))
+    if reason is not None:
+        connection.execute(
+            "INSERT INTO pins SELECT seq, ? FROM results WHERE seq = ?",
+            (reason, seq),
+        )
+    after = _pin_of(connection, seq)
+    if after != before:
+        action = "particle unpinned" if after is None else "particle pinned"
+        audit.note(connection, who, action, str(seq), before=before, after=after)
 
 
 def _pin_of(connection: sqlite3.Connection, seq: int) -> dict[str, str] | None:
@@ -63,14 +61,13 @@ def park(connection: sqlite3.Connection, name: str, after: int) -> Consumer:
     TooManyError
         There are `MAX_CONSUMERS` already.
     """
-    with transaction(connection):
-        first_seq, last_seq = connection.execute("SELECT first_seq, last_seq FROM store").fetchone()
-        if not first_seq - 1 <= after <= last_seq:
-            raise CursorError(after, first_seq, last_seq)
-        connection.execute("INSERT OR REPLACE INTO consumers VALUES (?, ?, ?)", (name, after, utc_now()))
-        (n,) = connection.execute("SELECT count(*) FROM consumers").fetchone()
-        if n > MAX_CONSUMERS:
-            raise TooManyError("consumers", f"there are {MAX_CONSUMERS} consumers: delete one of them")
+    first_seq, last_seq = connection.execute("SELECT first_seq, last_seq FROM store").fetchone()
+    if not first_seq - 1 <= after <= last_seq:
+        raise CursorError(after, first_seq, last_seq)
+    connection.execute("INSERT OR REPLACE INTO consumers VALUES (?, ?, ?)", (name, after, utc_now()))
+    (n,) = connection.execute("SELECT count(*) FROM consumers").fetchone()
+    if n > MAX_CONSUMERS:
+        raise TooManyError("consumers", f"there are {MAX_CONSUMERS} consumers: delete one of them")
     return next(consumer for consumer in consumers(connection) if consumer.name == name)
 
 
@@ -88,10 +85,9 @@ def consumers(connection: sqlite3.Connection) -> list[Consumer]:
 
 def forget(connection: sqlite3.Connection, name: str, who: str) -> bool:
     """Delete a consumer; return whether there was one."""
-    with transaction(connection):
-        before = next((each for each in consumers(connection) if each.name == name), None)
-        if before is None:
-            return False
-        connection.execute("DELETE FROM consumers WHERE name = ?", (name,))
-        audit.note(connection, who, "consumer deleted", name, before=asdict(before))
+    before = next((each for each in consumers(connection) if each.name == name), None)
+    if before is None:
+        return False
+    connection.execute("DELETE FROM consumers WHERE name = ?", (name,))
+    audit.note(connection, who, "consumer deleted", name, before=asdict(before))
     return True

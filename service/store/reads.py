@@ -8,8 +8,6 @@ from typing import Any
 
 from pipeline.frames import GateCount
 from pipeline.gradation.indices import EN_933_3, MAX_CUBICAL, SHAPE_RANGE_MM
-from service.results.fields import Outcome
-from service.store.accounting import Accounting
 from service.store.events import HistoryPage
 from service.store.particle_files import revision_folder
 
@@ -201,46 +199,3 @@ def _record(seq: int, text: str, removed: str | None, pin_reason: str | None, lo
         "is_pinned": pin_reason is not None,
         "pin_reason": pin_reason,
     }
-
-
-def accounting(connection: sqlite3.Connection, session: int | None) -> Accounting:
-    """Return the counts of one session, or of all.
-
-    Triggers are counted where they were recorded and outcomes where they are served, so the balance is a check.
-    """
-    condition, given = (
-        ("TRUE", ()) if session is None else ("session = ?", (session,))
-    )  # and of those removed
-    states = dict(
-        connection.execute(
-            f"SELECT state, sum(n) FROM triggers WHERE {condition} GROUP BY state",  # noqa: S608 - one of two above
-            given,
-        ).fetchall()
-    )
-    outcomes: dict[str, int] = {}
-    reasons: dict[str, int] = {}
-    qualities: dict[str, int] = {}
-    n_removed = 0
-    for outcome, reason, quality, count, removed in connection.execute(
-        f"SELECT outcome, reason, quality, sum(n), 0 FROM listed WHERE {condition}"  # noqa: S608 - as above
-        " GROUP BY outcome, reason, quality UNION ALL"
-        f" SELECT outcome, reason, quality, n, n FROM removed_results WHERE {condition}",
-        given + given,
-    ):
-        outcomes[outcome] = outcomes.get(outcome, 0) + count
-        n_removed += removed
-        if outcome == Outcome.MEASURED:
-            qualities[quality] = qualities.get(quality, 0) + count
-        else:
-            reasons[reason] = reasons.get(reason, 0) + count
-    backgrounds = states.pop("background", 0)
-    return Accounting(
-        triggers=sum(states.values()) + n_removed,
-        measured=outcomes.get(Outcome.MEASURED, 0),
-        rejected=outcomes.get(Outcome.REJECTED, 0),
-        lost=outcomes.get(Outcome.LOST, 0),
-        in_progress=states.get("open", 0),
-        backgrounds=backgrounds,
-        by_reason=reasons,
-        by_quality=qualities,
-    )

@@ -11,7 +11,6 @@ from datetime import datetime, timedelta
 from enum import StrEnum
 
 from pipeline.frames import rfc3339
-from service.store.schema import transaction
 
 STEP = 20
 """Results whose files, or rows, are removed at a time."""
@@ -74,21 +73,20 @@ class Removed(StrEnum):
 
 def mark_files(connection: sqlite3.Connection, limits: RetentionLimits, disk: Disk, now: datetime) -> int:
     """Mark the oldest files that are due as removed; return of how many results."""
-    with transaction(connection):
-        rows = connection.execute(
-            "SELECT seq, bytes, json_extract(record, '$.recorded_at') FROM files JOIN results USING (seq)"
-            " WHERE removed IS NULL AND seq NOT IN (SELECT seq FROM pins) ORDER BY seq LIMIT ?",
-            (LOOK,),
-        ).fetchall()
-        n_old = _n_older((row[2] for row in rows), limits.files_age_days, now)
-        excess_bytes = _excess_bytes(connection, limits, disk)
-        due = []
-        for number, (seq, size, _) in enumerate(rows[:STEP]):
-            if number >= n_old and excess_bytes <= 0:
-                break
-            due.append((Removed.AGE if number < n_old else Removed.SPACE, seq))
-            excess_bytes -= size
-        connection.executemany("UPDATE files SET removed = ? WHERE seq = ?", due)
+    rows = connection.execute(
+        "SELECT seq, bytes, json_extract(record, '$.recorded_at') FROM files JOIN results USING (seq)"
+        " WHERE removed IS NULL AND seq NOT IN (SELECT seq FROM pins) ORDER BY seq LIMIT ?",
+        (LOOK,),
+    ).fetchall()
+    n_old = _n_older((row[2] for row in rows), limits.files_age_days, now)
+    excess_bytes = _excess_bytes(connection, limits, disk)
+    due = []
+    for number, (seq, size, _) in enumerate(rows[:STEP]):
+        if number >= n_old and excess_bytes <= 0:
+            break
+        due.append((Removed.AGE if number < n_old else Removed.SPACE, seq))
+        excess_bytes -= size
+    connection.executemany("UPDATE files SET removed = ? WHERE seq = ?", due)
     return len(due)
 
 
@@ -102,8 +100,7 @@ def files_going(connection: sqlite3.Connection) -> list[tuple[int, str]]:
 
 def note_gone(connection: sqlite3.Connection, seqs: Iterable[int]) -> None:
     """Record that the files of these results are gone from the disk."""
-    with transaction(connection):
-        connection.executemany("UPDATE files SET bytes = NULL WHERE seq = ?", ((seq,) for seq in seqs))
+    connection.executemany("UPDATE files SET bytes = NULL WHERE seq = ?", ((seq,) for seq in seqs))
 
 
 def remove_results(connection: sqlite3.Connection, limits: RetentionLimits, now: datetime) -> int:
@@ -111,32 +108,31 @@ def remove_results(connection: sqlite3.Connection, limits: RetentionLimits, now:
 
     The newest result stays. A pinned one leaves the feed, which has no gaps, and is found by its id as before.
     """
-    with transaction(connection):
-        rows = connection.execute(
-            "SELECT seq, json_extract(record, '$.recorded_at') FROM results, store"
-            " WHERE seq >= first_seq AND seq < last_seq UNION ALL"
-            " SELECT seq, json_extract(record, '$.recorded_at') FROM revisions, store"
-            " WHERE seq >= first_seq AND seq < last_seq ORDER BY 1 LIMIT ?",
-            (LOOK,),
-        ).fetchall()
-        (read_by_all,) = connection.execute("SELECT min(after_seq) FROM consumers").fetchone()
-        n_read = sum(read_by_all is None or seq <= read_by_all for seq, _ in rows)
-        times = [recorded_at for _, recorded_at in rows]
-        n_due = min(_n_older(times, limits.results_days, now), n_read)
-        if limits.results_days:  # also if no consumer reads them
-            n_due = max(n_due, _n_older(times, limits.results_days + limits.consumer_days, now))
-        due = rows[: min(n_due, STEP)]
-        if due:
-            connection.execute("UPDATE store SET first_seq = ?", (due[-1][0] + 1,))
-        # the newest trigger stays, so that its number is not given again; files go before their row, and a result whose
-        # revision is still in the feed after that
-        connection.execute(
-            "DELETE FROM results WHERE seq IN (SELECT seq FROM results, store WHERE seq < first_seq"
-            " AND seq NOT IN (SELECT seq FROM pins) AND trigger < (SELECT max(trigger) FROM triggers)"
-            " AND NOT EXISTS (SELECT 1 FROM revised WHERE first = results.seq AND revised.seq >= store.first_seq)"
-            " AND NOT EXISTS (SELECT 1 FROM files WHERE files.seq = results.seq AND bytes IS NOT NULL) LIMIT ?)",
-            (STEP,),
-        )
+    rows = connection.execute(
+        "SELECT seq, json_extract(record, '$.recorded_at') FROM results, store"
+        " WHERE seq >= first_seq AND seq < last_seq UNION ALL"
+        " SELECT seq, json_extract(record, '$.recorded_at') FROM revisions, store"
+        " WHERE seq >= first_seq AND seq < last_seq ORDER BY 1 LIMIT ?",
+        (LOOK,),
+    ).fetchall()
+    (read_by_all,) = connection.execute("SELECT min(after_seq) FROM consumers").fetchone()
+    n_read = sum(read_by_all is None or seq <= read_by_all for seq, _ in rows)
+    times = [recorded_at for _, recorded_at in rows]
+    n_due = min(_n_older(times, limits.results_days, now), n_read)
+    if limits.results_days:  # also if no consumer reads them
+        n_due = max(n_due, _n_older(times, limits.results_days + limits.consumer_days, now))
+    due = rows[: min(n_due, STEP)]
+    if due:
+        connection.execute("UPDATE store SET first_seq = ?", (due[-1][0] + 1,))
+    # the newest trigger stays, so that its number is not given again; files go before their row, and a result whose
+    # revision is still in the feed after that
+    connection.execute(
+        "DELETE FROM results WHERE seq IN (SELECT seq FROM results, store WHERE seq < first_seq"
+        " AND seq NOT IN (SELECT seq FROM pins) AND trigger < (SELECT max(trigger) FROM triggers)"
+        " AND NOT EXISTS (SELECT 1 FROM revised WHERE first = results.seq AND revised.seq >= store.first_seq)"
+        " AND NOT EXISTS (SELECT 1 FROM files WHERE files.seq = results.seq AND bytes IS NOT NULL) LIMIT ?)",
+        (STEP,),
+    )
     return len(due)
 
 

@@ -85,7 +85,14 @@ def read(
 
 @contextmanager
 def transaction(connection: sqlite3.Connection) -> Iterator[None]:
-    """Run a transaction that is committed at the end of the block, and rolled back if the block is left early."""
+    """Run a transaction that is committed at the end of the block, and rolled back if the block is left early.
+
+    Within one that `Store.write` has begun, the block is a part of that.
+    """
+    is_part = connection.in_transaction
+    if is_part:
+        yield
+        return
     connection.execute("BEGIN IMMEDIATE")
     try:
         yield

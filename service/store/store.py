@@ -8,12 +8,11 @@ import asyncio
 import logging
 import os
 import sqlite3
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from drivers.files.durable import sync
@@ -21,11 +20,9 @@ from pipeline.frames import GateCount, Trigger
 from service.base.errors import StoreError
 from service.results.fields import LossReason
 from service.store import audit, backups, history, reads, writes
-from service.store.accounting import Accounting
-from service.store.events import HistoryPage
 from service.store.lock import lock_store
-from service.store.particle_files import RAW, drop_raw, path_of
-from service.store.schema import connect_reader, read
+from service.store.particle_files import RAW, drop_raw, drop_sources, path_of
+from service.store.schema import connect_reader, read, transaction
 from service.store.trouble import StoreTrouble, TroubleCause, trouble_of
 from service.store.writer import StoreWriter
 
@@ -82,26 +79,29 @@ class Store:
         self.path = state_dir / history.DATABASE
         self._lock = lock  # held until the process ends or `close`
         self._writer = writer
-        self._session: int | None = None
         self._committed = asyncio.Event()  # replaced at each commit
-        self._released = False
         self._n_notes = 0  # entries of the audit that are not written yet
-        self._readers = ThreadPoolExecutor(READERS, thread_name_prefix="store-reader")
-        with connect_reader(self.path) as reader:
-            row = reader.execute("SELECT instance_id, last_seq, first_raw, last_event FROM store").fetchone()
-        self._instance_id: str = row[0]
-        self._last_seq: int = row[1]
-        self._first_raw: int = row[2]  # results before this one have no raw frames
-        self._last_event: int = row[3]
         self._n_digests = len(audit.kept_digests(state_dir))
         self._keep_raw = keep_raw
+        self._readers = ThreadPoolExecutor(READERS, thread_name_prefix="store-reader")
+        self.session: int | None = None
+        """Number of the session begun by this process, None before `begin_session`."""
+        self.is_released = False
+        """True while stopping: long polls return at once."""
+        with connect_reader(self.path) as reader:
+            row = reader.execute("SELECT instance_id, last_seq, last_event, first_raw FROM store").fetchone()
+        self.instance_id: str = row[0]
+        """UUID of this history; clients that see another one start the feed again."""
+        self.last_seq: int = row[1]
+        """Number of the newest durable result; 0 before the first."""
+        self.last_event: int = row[2]
+        """Number of the newest durable event; 0 before the first."""
+        self._first_raw: int = row[3]  # results before this one have no raw frames
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -125,37 +125,13 @@ class Store:
         """Notes on what was moved aside at a start, because the database was damaged or had lost results."""
         return history.incidents(self.dir)
 
-    @property
-    def instance_id(self) -> str:
-        """UUID of this history; clients that see another one start the feed again."""
-        return self._instance_id
-
-    @property
-    def last_seq(self) -> int:
-        """Number of the newest durable result; 0 before the first."""
-        return self._last_seq
-
-    @property
-    def last_event(self) -> int:
-        """Number of the newest durable event; 0 before the first."""
-        return self._last_event
-
-    @property
-    def session(self) -> int | None:
-        """Number of the session begun by this process, None before `begin_session`."""
-        return self._session
-
     async def begin_session(self, info: Mapping[str, Any]) -> int:
         """Begin a session, a run of the daemon, and return its number; `info` (JSON) describes it.
 
         Its `calibration_id` and `is_simulated` go into the records of triggers that a crash leaves open.
         """
-        self._session = await self.write(writes.begin_session, info)
-        return self._session
-
-    async def note_calibration(self, session: int, calibration_id: str) -> None:
-        """Record that the session uses another calibration from now on."""
-        await self.write_soon(writes.note_calibration, session, calibration_id)
+        self.session = await self.write(writes.begin_session, info)
+        return self.session
 
     async def record_triggers(
         self, session: int, triggers: Mapping[str, Trigger], gate_count: GateCount | None = None
@@ -192,16 +168,12 @@ class Store:
             if self._n_notes >= MAX_NOTES:
                 return
         self._n_notes += 1
-        written = self.write_later(audit.note_alone, who, action, subject, before, after)
+        written = self.write_later(audit.note, who, action, subject, before=before, after=after)
         written.add_done_callback(self._forget_note)
         await self._unless_held(written)
 
-    def _forget_note(self, written: "asyncio.Future[None]") -> None:
+    def _forget_note(self, _: "asyncio.Future[None]") -> None:
         self._n_notes -= 1
-
-    async def gate_count(self) -> tuple[GateCount, int] | None:
-        """Return the gate's count noted last, and the number of triggers recorded since; None if nothing is missed."""
-        return await self.read(reads.gate_count)
 
     async def finish(
         self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
@@ -211,7 +183,24 @@ class Store:
         `files` (by name, such as `mesh.ply`) are moved to a folder of `particles` first. A second outcome for the same
         trigger changes nothing, and the `seq` of the first is returned. Waits as long as the store is held.
         """
-        return await self.write(writes.finish, self.particles_dir, session, bundle, record, files or {})
+        files = files or {}
+        seq, is_new = await self.write(writes.finish, self.particles_dir, session, bundle, record, files)
+        if is_new:
+            drop_sources(files)
+        return seq
+
+    async def lose_open(
+        self,
+        reason: LossReason,
+        detail: str,
+        but: Collection[tuple[int, str]] = frozenset(),
+        most: int = MAX_LOST,
+    ) -> int:
+        """End as `lost` triggers that an earlier session left open, `but` some; return of how many stones.
+
+        These are the first `most` of them; nothing is left when it returns 0.
+        """
+        return await self.write(writes.lose_open, self.particles_dir, self.session, reason, detail, but, most)
 
     async def folder(self, seq: int) -> Path:
         """Return where the files of a result are, or would be; it need not exist."""
@@ -238,75 +227,26 @@ class Store:
         """
         target = backups.backup_path(self.dir)
         try:
-            await asyncio.to_thread(backups.back_up, self.dir, target, lambda: not self._released)
+            await asyncio.to_thread(backups.back_up, self.dir, target, lambda: not self.is_released)
         except backups.DamagedStoreError as err:
             await asyncio.to_thread(self._writer.hold, StoreTrouble(TroubleCause.DAMAGED, str(err)))
             raise
         await asyncio.to_thread(backups.prune, self.dir, keep, target)
         return target
 
-    def last_backup(self) -> Path | None:
-        """Return the newest copy of the database that was made by `back_up`, None if there is none."""
-        return max(history.backups_in(self.dir), default=None)
-
-    async def open_triggers(self, among: Iterable[tuple[int, str]]) -> list[tuple[int, str]]:
-        """Return those triggers `among` some (session and bundle) that an earlier session left open, in their order."""
-        return await self.read(reads.open_triggers, self._session, among)
-
-    async def lose_open(
-        self,
-        reason: LossReason,
-        detail: str,
-        but: Collection[tuple[int, str]] = frozenset(),
-        most: int = MAX_LOST,
-    ) -> int:
-        """End as `lost` triggers that an earlier session left open, `but` some; return of how many stones.
-
-        These are the first `most` of them; nothing is left when it returns 0.
-        """
-        return await self.write(
-            writes.lose_open, self.particles_dir, self._session, reason, detail, but, most
-        )
-
-    async def accounting(self, session: int | None = None) -> Accounting:
-        """Return the counts of one session, or of the whole history."""
-        return await self.read(reads.accounting, session)
-
-    async def results_after(self, seq: int, limit: int) -> HistoryPage:
-        """Return up to `limit` results after `seq`, in order."""
-        return await self.read(reads.results_after, seq, limit)
-
-    async def particle(self, key: str | int) -> reads.Record | None:
-        """Return one result by id (text), in its newest revision, or by seq (number); None if there is none."""
-        return await self.read(reads.particle, key)
-
-    async def particles(
-        self, wanted: reads.ParticleFilter, before_seq: int | None, limit: int
-    ) -> list[reads.Record]:
-        """Return the newest `limit` results that fit and are older than `before_seq`, newest first."""
-        return await self.read(reads.particles, wanted, before_seq, limit)
-
-    async def wait_beyond(self, seq: int) -> None:
-        """Return when a result after `seq` is durable, or when waiting was ended by `release_waiters`."""
-        while self._last_seq <= seq and not self._released:
+    async def wait_while(self, is_awaited: Callable[[], bool]) -> None:
+        """Wait from commit to commit while this is true, or until waiting was ended by `release_waiters`."""
+        while is_awaited() and not self.is_released:
             await self._committed.wait()
-
-    async def wait_beyond_event(self, event: int) -> None:
-        """Return when an event after this number is durable, or when waiting was ended by `release_waiters`."""
-        while self._last_event <= event and not self._released:
-            await self._committed.wait()
-
-    @property
-    def is_released(self) -> bool:
-        """True while stopping: long polls return at once."""
-        return self._released
 
     def release_waiters(self) -> None:
-        """End all waiting in `wait_beyond` and `wait_beyond_event` for good, because the daemon is about to stop."""
-        self._released = True
+        """End all waiting in `wait_while` for good, because the daemon is about to stop."""
+        self.is_released = True
         self._wake()
 
-    def _wake(self) -> None:
+    def _wake(self, written: "asyncio.Future[Any] | None" = None) -> None:
+        if written is not None and not written.cancelled():
+            written.exception()  # the caller may be gone
         self._committed.set()
         self._committed = asyncio.Event()
 
@@ -315,12 +255,6 @@ class Store:
     ) -> T:
         """Return `work(connection, ...)`, one transaction in the thread that writes; waits while the store is held."""
         return await asyncio.shield(self.write_later(work, *args, **kwargs))
-
-    def write_later(
-        self, work: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
-    ) -> "asyncio.Future[T]":
-        """Queue `work(connection, ...)` after all earlier writes; the caller bounds the number that wait."""
-        return self._submit(lambda connection: work(connection, *args, **kwargs))
 
     async def write_soon(
         self, work: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
@@ -335,21 +269,20 @@ class Store:
         if written.done():
             written.result()
 
-    def _submit(self, work: Callable[[sqlite3.Connection], T]) -> "asyncio.Future[T]":
+    def write_later(
+        self, work: Callable[Concatenate[sqlite3.Connection, P], T], *args: P.args, **kwargs: P.kwargs
+    ) -> "asyncio.Future[T]":
+        """Queue `work(connection, ...)` after all earlier writes; the caller bounds the number that wait."""
+
         def write(connection: sqlite3.Connection) -> T:
-            result = work(connection)
+            with transaction(connection):
+                result = work(connection, *args, **kwargs)
             self._note_newest(connection)
             return result
 
         written = asyncio.wrap_future(self._writer.submit(write))
-
-        def wake(done: "asyncio.Future[T]") -> None:
-            if not done.cancelled():
-                done.exception()  # the caller may be gone
-            self._wake()
-
         # on the inner future: waiting readers must be woken even if the caller is cancelled meanwhile
-        written.add_done_callback(wake)
+        written.add_done_callback(self._wake)
         return written
 
     def _note_newest(self, connection: sqlite3.Connection) -> None:
@@ -359,12 +292,12 @@ class Store:
         """
         with suppress(sqlite3.Error, OSError, StoreError):
             self._n_digests = audit.keep_digests(connection, self.dir, self._n_digests)
-            last_seq, self._last_event = connection.execute(
+            last_seq, self.last_event = connection.execute(
                 "SELECT last_seq, last_event FROM store"
             ).fetchone()
-            if last_seq != self._last_seq:
-                self._last_seq = last_seq
-                history.acknowledge(self.dir, self._instance_id, last_seq)
+            if last_seq != self.last_seq:
+                self.last_seq = last_seq
+                history.acknowledge(self.dir, self.instance_id, last_seq)
             first_kept = writes.first_with_frames(connection, self._keep_raw)
             if first_kept > self._first_raw:
                 writes.drop_old_raw(connection, self.particles_dir, self._first_raw, first_kept)

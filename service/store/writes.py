@@ -1,7 +1,11 @@
-"""Writes to the database: each function is one transaction on the writer's connection.
+"""Sessions, triggers, results and revisions are written: each call is a transaction of `Store.write`, or a part of one.
 
 Invariants: every trigger ends in at most one result (`UNIQUE (trigger)`), and results are numbered without
 a gap, because the number is taken in the transaction that makes the result durable.
+
+A revision is a later item of the feed that describes the same stone anew; the first one stays as it is. It has the
+stone's `id`, a `seq` of its own, and its files within the stone's folder, so that whatever holds, moves or removes that
+folder takes them along. The raw frames stay where they are, and the accounting knows first results only.
 """
 
 import json
@@ -19,12 +23,13 @@ from service.results.record import lost_record
 from service.store import indexed_fields
 from service.store.particle_files import (
     drop_raw,
-    drop_sources,
     keep_files,
     particle_folder,
     particle_id,
     path_of,
+    revision_folder,
 )
+from service.store.reads import particle
 from service.store.schema import transaction
 
 IS_REPLAY = (
@@ -32,6 +37,10 @@ IS_REPLAY = (
     " OR coalesce(json_extract(info, '$.is_simulated'), 0))"
 )
 """Whether a session's stones did not fall then; sessions from before it was noted tell by their rig."""
+KEPT = (
+    "id", "session", "bundle", "sequence", "kind", "captured_at", "is_simulated", "is_replay", "verification"
+)  # fmt: skip
+"""Fields of the stone and its fall, which measuring again does not change."""
 NOTE_EVERY = 100
 """Results between two notes in the database of how far raw frames were removed."""
 
@@ -44,29 +53,27 @@ def begin_session(connection: sqlite3.Connection, info: Mapping[str, Any]) -> in
     StoreError
         It is a replay and the store holds stones that fell, or the other way round.
     """
-    with transaction(connection):
-        session, is_replay = connection.execute(
-            f"INSERT INTO sessions (started_at, info) VALUES (?, ?) RETURNING session, {IS_REPLAY}",  # noqa: S608 - a constant
-            (utc_now(), json.dumps(info, allow_nan=False)),
-        ).fetchone()
-        others = connection.execute(
-            f"SELECT 1 FROM sessions WHERE {IS_REPLAY} != ?"  # noqa: S608 - as above
-            " AND EXISTS (SELECT 1 FROM triggers WHERE triggers.session = sessions.session)",
-            (is_replay,),
-        )
-        if others.fetchone() is not None:
-            held, wanted = ("stones that fell", "a replay") if is_replay else ("a replay", "a live rig")
-            raise StoreError(f"the store holds the results of {held}: choose another store.dir for {wanted}")
+    session, is_replay = connection.execute(
+        f"INSERT INTO sessions (started_at, info) VALUES (?, ?) RETURNING session, {IS_REPLAY}",  # noqa: S608 - a constant
+        (utc_now(), json.dumps(info, allow_nan=False)),
+    ).fetchone()
+    others = connection.execute(
+        f"SELECT 1 FROM sessions WHERE {IS_REPLAY} != ?"  # noqa: S608 - as above
+        " AND EXISTS (SELECT 1 FROM triggers WHERE triggers.session = sessions.session)",
+        (is_replay,),
+    )
+    if others.fetchone() is not None:
+        held, wanted = ("stones that fell", "a replay") if is_replay else ("a replay", "a live rig")
+        raise StoreError(f"the store holds the results of {held}: choose another store.dir for {wanted}")
     return int(session)
 
 
 def note_calibration(connection: sqlite3.Connection, session: int, calibration_id: str) -> None:
     """Record in the `info` of a session which calibration it uses from now on."""
-    with transaction(connection):
-        connection.execute(
-            "UPDATE sessions SET info = json_set(info, '$.calibration_id', ?) WHERE session = ?",
-            (calibration_id, session),
-        )
+    connection.execute(
+        "UPDATE sessions SET info = json_set(info, '$.calibration_id', ?) WHERE session = ?",
+        (calibration_id, session),
+    )
 
 
 def first_with_frames(connection: sqlite3.Connection, keep_raw: int) -> int:
@@ -97,17 +104,15 @@ def record_triggers(
     gate_count: GateCount | None,
 ) -> None:
     """Record triggers by the names of their bundles, without an outcome yet, and the gate's count at the last."""
-    with transaction(connection):
-        for bundle, trigger in triggers.items():
-            _record(connection, session, bundle, trigger)
-        if gate_count is not None:
-            _note_gate_count(connection, session, asdict(gate_count))
+    for bundle, trigger in triggers.items():
+        _record(connection, session, bundle, trigger.sequence, trigger.kind, trigger.utc, trigger.n_stones)
+    if gate_count is not None:
+        _note_gate_count(connection, session, asdict(gate_count))
 
 
 def forget_gate_count(connection: sqlite3.Connection, session: int) -> None:
     """Record that nothing is missed of what the gate counts from now on."""
-    with transaction(connection):
-        _note_gate_count(connection, session, None)
+    _note_gate_count(connection, session, None)
 
 
 def _note_gate_count(connection: sqlite3.Connection, session: int, count: Mapping[str, Any] | None) -> None:
@@ -126,25 +131,28 @@ def finish(
     bundle: str,
     record: Mapping[str, Any],
     files: Mapping[str, Path],
-) -> int:
-    """End a trigger with `record` and return its `seq`; a trigger that has a result keeps that, and its `seq`.
+) -> tuple[int, bool]:
+    """End a trigger with `record`; return its `seq`, and False if it has a result already, which it keeps.
 
-    A trigger that was not recorded, because the store was held when it came, is recorded now.
+    A trigger that was not recorded, because the store was held when it came, is recorded now. Then
+    `drop_sources(files)` is for after the commit.
     """
-    with transaction(connection):
-        row = connection.execute(
-            "SELECT trigger, state, seq FROM triggers LEFT JOIN results USING (trigger)"
-            " WHERE triggers.session = ? AND bundle = ?",
-            (session, bundle),
-        ).fetchone()
-        trigger, state, seq = row or (_record_late(connection, session, bundle, record), "open", None)
-        if state == "background":
-            raise StoreError(f"session {session}, bundle {bundle}: a background has no outcome")
-        if seq is not None:
-            return int(seq)
-        seq = _end(connection, particles_dir, trigger, record, files)
-    drop_sources(files)
-    return seq
+    row = connection.execute(
+        "SELECT trigger, state, seq FROM triggers LEFT JOIN results USING (trigger)"
+        " WHERE triggers.session = ? AND bundle = ?",
+        (session, bundle),
+    ).fetchone()
+    if row is None:
+        if record.get("captured_at") is None:
+            raise StoreError(f"session {session}, bundle {bundle}: no such trigger was recorded")
+        fall = [record["sequence"], record["kind"], record["captured_at"], record.get("n_stones", 1)]
+        row = (_record(connection, session, bundle, *fall), "open", None)
+    trigger, state, seq = row
+    if state == "background":
+        raise StoreError(f"session {session}, bundle {bundle}: a background has no outcome")
+    if seq is not None:
+        return seq, False
+    return _end(connection, particles_dir, trigger, record, files), True
 
 
 def lose_open(
@@ -160,50 +168,76 @@ def lose_open(
 
     `but` are left open, by session and bundle: they are measured yet.
     """
-    with transaction(connection):
-        rows = connection.execute(
-            "SELECT trigger, session, bundle, info, sequence, kind, captured_at, n"
-            " FROM triggers JOIN sessions USING (session)"
-            " WHERE state = 'open' AND session IS NOT ? ORDER BY trigger LIMIT ?",
-            (live_session, most + len(but)),
-        ).fetchall()
-        lost = [row for row in rows if row[1:3] not in but][:most]
-        for trigger, _, bundle, info_text, sequence, kind, captured_at, n_stones in lost:
-            info = json.loads(info_text)
-            record = lost_record(
-                _trigger(sequence, BundleKind(kind), captured_at, n_stones),
-                bundle=bundle,
-                reason=reason,
-                detail=detail,
-                calibration_id=info.get("calibration_id"),
-                is_simulated=info.get("is_simulated"),
-            )
-            _end(connection, particles_dir, trigger, record, {})
+    rows = connection.execute(
+        "SELECT trigger, session, bundle, info, sequence, kind, captured_at, n"
+        " FROM triggers JOIN sessions USING (session)"
+        " WHERE state = 'open' AND session IS NOT ? ORDER BY trigger LIMIT ?",
+        (live_session, most + len(but)),
+    ).fetchall()
+    lost = [row for row in rows if row[1:3] not in but][:most]
+    for number, _, bundle, info_text, sequence, kind, utc, n in lost:
+        info = json.loads(info_text)
+        record = lost_record(
+            Trigger(
+                sequence=sequence, received_ns=0, device_ns=0, utc=utc, kind=BundleKind(kind), n_stones=n
+            ),
+            bundle=bundle,
+            reason=reason,
+            detail=detail,
+            calibration_id=info.get("calibration_id"),
+            is_simulated=info.get("is_simulated"),
+        )
+        _end(connection, particles_dir, number, record, {})
     return sum(n_stones for *_, n_stones in lost)
 
 
-def _record_late(connection: sqlite3.Connection, session: int, bundle: str, record: Mapping[str, Any]) -> int:
-    if record.get("captured_at") is None:
-        raise StoreError(f"session {session}, bundle {bundle}: no such trigger was recorded")
-    kind, n_stones = BundleKind(record["kind"]), record.get("n_stones", 1)
-    return _record(
-        connection, session, bundle, _trigger(record["sequence"], kind, record["captured_at"], n_stones)
+def add_revision(
+    connection: sqlite3.Connection,
+    particles_dir: Path,
+    name: str,
+    record: Mapping[str, Any],
+    files: Mapping[str, Path],
+) -> int | None:
+    """Add a revision of the stone with this id, and return its `seq`; None if it or its files were removed meanwhile.
+
+    `drop_sources(files)` is for after the commit.
+    """
+    before = particle(connection, name)
+    found = connection.execute(
+        "SELECT seq, folder FROM results JOIN files USING (seq) WHERE id = ? AND removed IS NULL", (name,)
+    ).fetchone()
+    if before is None or found is None:
+        return None
+    (first, folder), revision = found, before.get("revision", 1) + 1
+    (seq,) = connection.execute("UPDATE store SET last_seq = last_seq + 1 RETURNING last_seq").fetchone()
+    kept = keep_files(path_of(particles_dir, revision_folder(folder, revision)), files)
+    identity = {"seq": seq, "revision": revision, "revises": before["seq"]}
+    identity |= {field: before.get(field) for field in KEPT} | {"recorded_at": utc_now()}
+    connection.execute(
+        "INSERT INTO revisions (seq, first, revision, record) VALUES (?, ?, ?, ?)",
+        (seq, first, revision, _durable(record, identity, kept, seq)),
     )
+    indexed_fields.update_row(connection, first)
+    connection.execute("UPDATE files SET bytes = bytes + ? WHERE seq = ?", (sum(kept.values()), first))
+    return int(seq)
 
 
-def _trigger(sequence: int, kind: BundleKind, utc: str, n_stones: int) -> Trigger:
-    """Return a trigger as far as the database knows it."""
-    return Trigger(sequence=sequence, received_ns=0, device_ns=0, utc=utc, kind=kind, n_stones=n_stones)
-
-
-def _record(connection: sqlite3.Connection, session: int, bundle: str, trigger: Trigger) -> int:
+def _record(
+    connection: sqlite3.Connection,
+    session: int,
+    bundle: str,
+    sequence: int,
+    kind: str,
+    captured_at: str,
+    n_stones: int,
+) -> int:
     """Insert a trigger without an outcome and return its number."""
-    state = "background" if trigger.kind is BundleKind.BACKGROUND else "open"
+    state = "background" if kind == BundleKind.BACKGROUND else "open"
     (number,) = connection.execute(
         "INSERT INTO triggers (session, bundle, sequence, kind, captured_at, state, n, lot)"
         " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7,"
         " iif(?4 = 'particle', (SELECT lot FROM lots WHERE state = 'open'), NULL)) RETURNING trigger",
-        (session, bundle, trigger.sequence, trigger.kind, rfc3339(trigger.utc), state, trigger.n_stones),
+        (session, bundle, sequence, kind, rfc3339(captured_at), state, n_stones),
     ).fetchone()
     return int(number)
 
@@ -239,15 +273,11 @@ def _end(
         "n_stones": n_stones,
         "captured_at": captured_at,
         "recorded_at": recorded_at,
-        "time_is_doubtful": is_of_unset_clock(min(captured_at, recorded_at)),
-        # relative to the base path of the REST interface, which makes PLY of a compact one
-        "mesh": f"particles/{name}/mesh.ply" if any(file.startswith("mesh.") for file in kept) else None,
         "is_replay": bool(is_replay),
     }
-    stored = identity | dict(record) | identity  # first for the order of the keys, last for the values
     connection.execute(
         "INSERT INTO results (seq, id, trigger, session, record) VALUES (?, ?, ?, ?, ?)",
-        (seq, name, trigger, session, json.dumps(stored, allow_nan=False)),
+        (seq, name, trigger, session, _durable(record, identity, kept, name)),
     )
     indexed_fields.add_row(connection, seq)
     if record["outcome"] != Outcome.LOST:
@@ -256,3 +286,17 @@ def _end(
         )
     connection.execute("UPDATE triggers SET state = ? WHERE trigger = ?", (record["outcome"], trigger))
     return int(seq)
+
+
+def _durable(
+    record: Mapping[str, Any], identity: Mapping[str, Any], kept: Collection[str], key: str | int
+) -> str:
+    """Return a record as it is stored: with its identity, and the address of its mesh if that was kept."""
+    given = {
+        **identity,
+        "time_is_doubtful": is_of_unset_clock(min(identity["captured_at"], identity["recorded_at"])),
+        # relative to the base path of the REST interface, which makes PLY of a compact one
+        "mesh": f"particles/{key}/mesh.ply" if any(file.startswith("mesh.") for file in kept) else None,
+    }
+    # first for the order of the keys, last for the values
+    return json.dumps(given | dict(record) | given, allow_nan=False)

@@ -8,7 +8,7 @@ from fastapi import Depends, Request
 
 from service.base.errors import StoreError
 from service.store import Store
-from service.store.outcome_counts import OutcomeCounts, outcome_counts
+from service.store.accounting import OutcomeCounts, outcome_counts
 from service.web.control import Control
 from service.web.key_guesses import KeyGuesses
 from service.web.key_ring import KeyRing

@@ -1,10 +1,11 @@
 """What clients follow by a number without gaps: the pages of a feed, the wait for more, and the place of a cursor."""
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 from pydantic import BaseModel, Field
@@ -42,30 +43,18 @@ class Feed:
     query: PageQuery
     is_large: bool  # a page of many items takes long
     last: Callable[[Store], int]
-    wait_beyond: Callable[[Store, int], Awaitable[None]]
     is_stream: bool = False  # its pages say nothing of what follows them
     more: tuple[
         tuple[str, ...] | bool | None, ...
     ] = ()  # that the query is given: what the client has chosen
 
-
-def _last_event(store: Store) -> int:
-    return store.last_event
-
-
-async def _beyond_event(store: Store, after: int) -> None:
-    await store.wait_beyond_event(after)
+    async def wait_beyond(self, store: Store, after: int) -> None:
+        """Wait until there is an item after this number, or waiting was ended."""
+        await store.wait_while(lambda: self.last(store) <= after)
 
 
-EVENTS = Feed(kind="event", query=event_page, is_large=False, last=_last_event, wait_beyond=_beyond_event)
-EVENT_STREAM = Feed(
-    kind="event",
-    query=event_stream,
-    is_large=False,
-    last=_last_event,
-    wait_beyond=_beyond_event,
-    is_stream=True,
-)
+EVENTS = Feed(kind="event", query=event_page, is_large=False, last=attrgetter("last_event"))
+EVENT_STREAM = replace(EVENTS, query=event_stream, is_stream=True)
 
 
 async def page_after(context: ApiContext, feed: Feed, after: int, limit: int, wait_s: float = 0) -> FeedPage:

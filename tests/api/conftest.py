@@ -1,5 +1,5 @@
 import asyncio
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 
 import httpx
@@ -93,11 +93,11 @@ async def client(store: Store, control: FakeControl, again: AgainPool) -> AsyncI
 def waiting(store: Store, monkeypatch: pytest.MonkeyPatch) -> asyncio.Event:
     """Return an event that is set once a long poll waits for results."""
     event = asyncio.Event()
-    wait_beyond = store.wait_beyond
+    wait_while = store.wait_while
 
-    async def observed(seq: int) -> None:
+    async def observed(is_awaited: Callable[[], bool]) -> None:
         event.set()
-        await wait_beyond(seq)
+        await wait_while(is_awaited)
 
-    monkeypatch.setattr(store, "wait_beyond", observed)
+    monkeypatch.setattr(store, "wait_while", observed)
     return event

@@ -21,7 +21,7 @@ from service.base.status import AcquisitionState, CheckStatus, HealthCheck
 from service.daemon.rest.app import build_routes
 from service.health.alarms.alarms import Alarms
 from service.store import Store
-from service.store.audit import COLUMNS, note_alone
+from service.store.audit import COLUMNS, note
 from service.web.routes.audit import PAGE
 from service.web.settings import ApiKey, ApiSettings, Scope
 from service.web.version import BASE
@@ -238,7 +238,7 @@ async def test_the_export_is_whole_in_order_and_can_be_checked(
     assert (await client.get("/audit.csv")).text == f"{','.join(COLUMNS)}\r\n"
     n = PAGE + 2
     for number in range(n):
-        await store.write(note_alone, "key mes", "lot opened", "=L", None, {"remark": f'"{number}", ö\r\n'})
+        await store.write(note, "key mes", "lot opened", "=L", after={"remark": f'"{number}", ö\r\n'})
     answer = await client.get("/audit.csv")
     assert answer.headers["Content-Type"].startswith("text/csv")
     rows = list(csv.reader(StringIO(answer.text, newline="")))

@@ -12,6 +12,7 @@ from support.rest import FakeControl, ReadingThread, app_of, assert_problem, cli
 
 from service.remeasuring.revising import revise
 from service.store import Store
+from service.store.reads import particle
 
 SVG = "{http://www.w3.org/2000/svg}"
 OLD, NEW = "9", "10"
@@ -29,7 +30,7 @@ async def lot(client: httpx.AsyncClient, store: Store, session: int) -> str:
 
 async def revised(store: Store, seq: int, record: dict[str, Any], folder: Path) -> None:
     """Measure the stone of this first result again, without files."""
-    found = await store.particle(seq)
+    found = await store.read(particle, seq)
     assert found is not None
     assert await revise(store, found, record, folder, "test")
 

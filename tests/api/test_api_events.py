@@ -2,6 +2,7 @@
 
 import asyncio
 import sqlite3
+from collections.abc import Callable
 
 import httpx
 import pytest
@@ -58,13 +59,13 @@ async def test_a_long_poll_is_answered_with_the_next_event(
     client: httpx.AsyncClient, store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     waiting = asyncio.Event()
-    wait_beyond_event = store.wait_beyond_event
+    wait_while = store.wait_while
 
-    async def observed(event: int) -> None:
+    async def observed(is_awaited: Callable[[], bool]) -> None:
         waiting.set()
-        await wait_beyond_event(event)
+        await wait_while(is_awaited)
 
-    monkeypatch.setattr(store, "wait_beyond_event", observed)
+    monkeypatch.setattr(store, "wait_while", observed)
     assert (await client.get("/events", params={"wait_s": 0.01})).json()["items"] == []
     waiting.clear()
     poll = asyncio.create_task(client.get("/events", params={"wait_s": 30}))

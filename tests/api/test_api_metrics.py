@@ -15,7 +15,7 @@ from service.configuration.settings import Settings, load_settings
 from service.daemon.rest.metrics import DELAYS_S, Snapshot, metrics_text
 from service.results.fields import Verified
 from service.store import Store
-from service.store.outcome_counts import OutcomeCounts, outcome_counts
+from service.store.accounting import OutcomeCounts, outcome_counts
 from service.store.retention import RetentionLimits, remove_results
 from service.web.settings import ApiSettings
 

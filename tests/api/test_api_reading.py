@@ -177,21 +177,21 @@ async def test_long_polls_for_the_same_share_one_page(
 ) -> None:
     queries: list[object] = []
     n_waiting, all_wait = 0, asyncio.Event()
-    reads, wait_beyond = store.read, store.wait_beyond
+    reads, wait_while = store.read, store.wait_while
 
     async def counted(query: Any, *arguments: Any) -> Any:
         queries.append(query)
         return await reads(query, *arguments)
 
-    async def observed(seq: int) -> None:
+    async def observed(is_awaited: Callable[[], bool]) -> None:
         nonlocal n_waiting
         n_waiting += 1
         if n_waiting == N_POLLS:
             all_wait.set()
-        await wait_beyond(seq)
+        await wait_while(is_awaited)
 
     monkeypatch.setattr(store, "read", counted)
-    monkeypatch.setattr(store, "wait_beyond", observed)
+    monkeypatch.setattr(store, "wait_while", observed)
     async with asyncio.timeout(PATIENCE_S):
         polls = [asyncio.create_task(client.get("/results?wait_s=30")) for _ in range(N_POLLS)]
         await all_wait.wait()

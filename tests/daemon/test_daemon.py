@@ -31,8 +31,8 @@ from service.processing.measure_job import (
     learn_background,
     measure,
 )
-from service.store import open_store, reads
-from service.store.accounting import Accounting
+from service.store import open_store
+from service.store.accounting import Accounting, accounting
 from service.store.schema import connect_reader
 
 N_STONES = 6
@@ -101,7 +101,7 @@ def assert_same_results(folder: Path, results: list[dict[str, Any]], offline: li
 def accounting_in(folder: Path) -> Accounting:
     """What the daemon has left in its store."""
     with connect_reader(folder / "state/results.sqlite") as connection:
-        return reads.accounting(connection, None)
+        return accounting(connection, None)
 
 
 def seqs(results: list[dict[str, Any]]) -> list[int]:

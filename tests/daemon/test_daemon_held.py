@@ -11,7 +11,7 @@ from support.daemon_process import DaemonProcess
 from support.extents import first_quick
 from support.small_recording import write_small_recording
 
-from service.store import reads
+from service.store.accounting import accounting
 from service.store.schema import connect_reader
 
 
@@ -128,7 +128,7 @@ def test_a_held_daemon_can_be_stopped(recording: Path, tmp_path: Path) -> None:
             assert "outcomes are given up" in daemon.log
             assert "Traceback" not in daemon.log
     with connect_reader(tmp_path / "state/results.sqlite") as connection:
-        assert reads.accounting(connection, None).is_balanced
+        assert accounting(connection, None).is_balanced
 
 
 @pytest.mark.full

@@ -12,8 +12,7 @@ from support.small_recording import write_small_recording
 from drivers.cameras.aravis import AravisCamera
 from drivers.cameras.genicam import GigeCameraSettings
 from drivers.files.recording import open_recording
-from service.store import reads
-from service.store.accounting import Accounting
+from service.store.accounting import Accounting, accounting
 from service.store.schema import connect_reader
 
 
@@ -27,7 +26,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def accounting_in(folder: Path, session: int) -> Accounting:
     """What a daemon has left in its store."""
     with connect_reader(folder / "state/results.sqlite") as connection:
-        return reads.accounting(connection, session)
+        return accounting(connection, session)
 
 
 @pytest.mark.full

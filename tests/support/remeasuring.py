@@ -18,6 +18,7 @@ from service.remeasuring.jobs import RigFiles
 from service.remeasuring.remeasuring import Remeasuring
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store
+from service.store.reads import particle
 
 OLD = "0"
 """The algorithm's version of the stones that are to be measured again."""
@@ -78,7 +79,7 @@ async def add_old(
     """Store a stone with frames that an older algorithm measured; return its id."""
     record = measured(calibration_id=calibration_id, algorithm_version=OLD, **fields)
     seq = await add(store, session, sequence, record, particle_files(folder / "out"))
-    found = await store.particle(seq)
+    found = await store.read(particle, seq)
     assert found is not None
     return str(found["id"])
 

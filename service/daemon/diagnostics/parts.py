@@ -20,9 +20,9 @@ from service.host.check import check_host
 from service.host.host import Host
 from service.results.version import ALGORITHM_VERSION
 from service.store import read
+from service.store.accounting import accounting
 from service.store.events import event_ends, events_after
 from service.store.history import DATABASE
-from service.store.reads import accounting
 
 N_ALARMS, N_EVENTS = 200, 500
 LOG_LINES = 5000

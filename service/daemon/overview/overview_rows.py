@@ -26,7 +26,7 @@ from service.lots.products import find_product
 from service.lots.yardsticks import Request
 from service.results.fields import Outcome
 from service.store import ParticleFilter
-from service.store.outcome_counts import OutcomeCounts, outcome_counts
+from service.store.accounting import OutcomeCounts, outcome_counts
 from service.store.reads import particles
 
 RATE_OVER = timedelta(minutes=1)

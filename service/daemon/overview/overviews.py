@@ -99,7 +99,7 @@ class Overviews:
             await asyncio.sleep(self._last.made_s + LEAST_S - _now_s())
         with suppress(TimeoutError):
             async with asyncio.timeout(MOST_S - LEAST_S):
-                await self._store.wait_beyond(self._rows_seq)
+                await self._store.wait_while(lambda: self._store.last_seq <= self._rows_seq)
         return await self._make()
 
     async def _make(self) -> Overview:

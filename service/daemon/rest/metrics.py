@@ -21,7 +21,7 @@ from service.calibration.verifications import Verification
 from service.health.facts import Facts
 from service.results.fields import LossReason, Outcome, Verified
 from service.results.version import ALGORITHM_VERSION
-from service.store.outcome_counts import OutcomeCounts
+from service.store.accounting import OutcomeCounts
 from service.web.version import API_VERSION
 
 DELAYS_S = (0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.8, 1.0, 1.5, 2.0, 5.0, 10.0, 30.0)

@@ -11,7 +11,7 @@ from service.base.schema import GivenTime
 from service.particles.pages import particles_page
 from service.particles.routes.results import ChosenFields
 from service.results.fields import QualityCause, Result, completed
-from service.store import ParticleFilter, Record, read
+from service.store import ParticleFilter, Record, read, reads
 from service.web.auth import READABLE
 from service.web.context import ApiContext, Context
 from service.web.etags import NOT_MODIFIED, etag, unchanged
@@ -133,5 +133,5 @@ def record_response(record: Record) -> JSONResponse:
 
 async def find_record(context: ApiContext, key: str) -> Record:
     """Return the record with this `id` or `seq`; raise the problem 404 where there is none."""
-    record = await context.store.particle(int(key) if key.isdecimal() else key)
+    record = await context.store.read(reads.particle, int(key) if key.isdecimal() else key)
     return existing(record, "particle", key)

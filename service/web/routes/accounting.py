@@ -7,6 +7,7 @@ from fastapi import APIRouter, Query
 
 from service.base.schema import adds_to
 from service.store.accounting import Accounting
+from service.store.accounting import accounting as counts_of
 from service.web.auth import READABLE
 from service.web.context import Context
 
@@ -36,4 +37,4 @@ async def accounting(
 ) -> AccountingDocument:
     """Count the triggers and their outcomes; every trigger is in exactly one of the four."""
     number = context.store.session if session == "current" else None if session is None else int(session)
-    return AccountingDocument(**asdict(await context.store.accounting(number)), session=number)
+    return AccountingDocument(**asdict(await context.store.read(counts_of, number)), session=number)

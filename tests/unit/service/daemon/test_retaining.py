@@ -15,6 +15,7 @@ from support.stores import folder_of
 from service.daemon.retaining import LowThread, Retaining
 from service.recording.recordings import RecordingRequest, Recordings, RecordingsSettings, open_recordings
 from service.store import Store, open_store
+from service.store.reads import results_after
 from service.store.retention import Disk, RetentionLimits, mark_files
 from service.store.sweep import sweep
 
@@ -37,7 +38,7 @@ async def fill(store: Store, tmp_path: Path, n: int) -> list[Path]:
     session = await store.begin_session({})
     for number in range(1, n + 1):
         await add(store, session, number, measured(), particle_files(tmp_path / "out"))
-    names = [item["id"] for item in (await store.results_after(0, n)).items]
+    names = [item["id"] for item in (await store.read(results_after, 0, n)).items]
     return [folder_of(store.dir, name) for name in names]
 
 

@@ -24,6 +24,7 @@ from service.lots.products import ProductDefinition, save_product
 from service.lots.yardsticks import Request
 from service.reports.lot_reports import ReportRequest, RigStanding
 from service.store import Store
+from service.store.reads import results_after
 
 STONE = {
     "volume_mm3": 4000.0,
@@ -202,7 +203,7 @@ async def test_a_folder_that_takes_nothing_is_told_and_made_up_for(
         await closed(store, session, "L1")
         await soon(lambda: drop.trouble is not None)
         assert drop.checks() == {"file_drop": trouble_check(f"{folder}: {words}")}
-        assert await store.results_after(0, 1)  # nothing else is held up
+        assert await store.read(results_after, 0, 1)  # nothing else is held up
         present(folder)
         await until_there(folder, "L1-1.csv")
         await soon(lambda: drop.trouble is None)

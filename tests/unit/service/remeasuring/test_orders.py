@@ -17,6 +17,7 @@ from service.remeasuring.hindrance import Hindrance, RemeasureError
 from service.remeasuring.orders import Orders, read_context, read_order, write_record
 from service.remeasuring.remeasuring import Remeasuring
 from service.store import Store
+from service.store.reads import particle
 
 
 @pytest.fixture
@@ -57,7 +58,7 @@ async def test_what_was_measured_elsewhere_becomes_one_revision(
     assert order.job.bundle_path == await store.raw_path(1)
     assert order.job.rig_file == desk.rig_file
     assert read_context(order).is_simulated
-    before = await store.particle(name)
+    before = await store.read(particle, name)
     assert before is not None
     for folder in (first, second):
         await measured_there(folder, volume_mm3=7.0, bundle=before["bundle"])
@@ -65,7 +66,7 @@ async def test_what_was_measured_elsewhere_becomes_one_revision(
         *(again.orders.deliver(name, folder.name, "anna") for folder in (first, second))
     )
     assert sorted(delivered) == [False, True]
-    newest = await store.particle(name)
+    newest = await store.read(particle, name)
     assert newest is not None
     assert (newest["revision"], newest["volume_mm3"]) == (2, 7.0)
     assert (await store.folder(2) / "mesh.ply").is_file()
@@ -77,7 +78,7 @@ async def assert_refused(again: Remeasuring, store: Store, name: str, order: str
     with pytest.raises(RemeasureError) as refused:
         await again.orders.deliver(name, order, "anna")
     assert refused.value.kind is why
-    newest = await store.particle(name)
+    newest = await store.read(particle, name)
     assert newest is not None and newest["revision"] == 1
     return str(refused.value)
 
@@ -95,7 +96,7 @@ async def assert_refused(again: Remeasuring, store: Store, name: str, order: str
 async def test_what_is_not_of_this_stone_or_not_sound_is_refused(
     store: Store, again: Remeasuring, name: str, wrong: dict[str, Any]
 ) -> None:
-    before = await store.particle(name)
+    before = await store.read(particle, name)
     assert before is not None
     folder = await ordered(again.orders, name)
     await measured_there(folder, **{"bundle": before["bundle"], **wrong})
@@ -121,7 +122,7 @@ async def test_an_order_without_a_result_or_of_another_stone_is_refused(
 async def test_an_order_that_is_delivered_twice_at_once_is_taken_once(
     store: Store, again: Remeasuring, name: str
 ) -> None:
-    before = await store.particle(name)
+    before = await store.read(particle, name)
     assert before is not None
     folder = await ordered(again.orders, name)
     await measured_there(folder, bundle=before["bundle"])
@@ -129,7 +130,7 @@ async def test_an_order_that_is_delivered_twice_at_once_is_taken_once(
     taken, refused = await asyncio.gather(*deliveries, return_exceptions=True)
     assert taken is True
     assert isinstance(refused, RemeasureError) and refused.kind is Hindrance.NO_ORDER
-    newest = await store.particle(name)
+    newest = await store.read(particle, name)
     assert newest is not None
     assert (newest["revision"], newest["mesh"]) == (2, "particles/2/mesh.ply")
 

@@ -22,6 +22,7 @@ from service.results.fields import LossReason
 from service.results.refinement import RUSH
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store
+from service.store.reads import particle
 
 
 @pytest.fixture
@@ -50,7 +51,7 @@ async def test_a_stone_is_measured_once_more_and_not_twice(
     assert job.bundle_path == await store.raw_path(1)
     assert job.rig_file == desk.rig_file
     assert not job.out_dir.exists()
-    newest = await store.particle(name)
+    newest = await store.read(particle, name)
     assert newest is not None
     assert (newest["revision"], newest["volume_mm3"]) == (2, 7.0)
     assert newest["algorithm_version"] == ALGORITHM_VERSION
@@ -67,7 +68,7 @@ async def test_a_stone_whose_refinement_was_left_out_in_a_rush_is_refined_afterw
         refinement_fallback=RUSH,
     )
     await add(store, session, 1, record, particle_files(tmp_path / "out"))
-    first = await store.particle(1)
+    first = await store.read(particle, 1)
     assert first is not None
     assert [await again.measure(first["id"], "anna") for _ in range(2)] == [True, False]
 
@@ -78,7 +79,7 @@ async def assert_hindered(again: Remeasuring, store: Store, name: str, why: Hind
         await again.measure(name, "anna")
     assert refused.value.kind is why
     assert store.last_seq == before
-    newest = await store.particle(name)
+    newest = await store.read(particle, name)
     assert newest is None or newest["revision"] == 1
 
 
@@ -226,6 +227,6 @@ async def test_frames_that_were_damaged_since_make_no_result_worse(
 
 async def test_a_lost_stone_has_nothing_to_measure(store: Store, session: int, again: Remeasuring) -> None:
     await add(store, session, 1, {**measured(), "outcome": "lost", "reason": "crash"})
-    record = await store.particle(1)
+    record = await store.read(particle, 1)
     assert record is not None
     await assert_hindered(again, store, record["id"], Hindrance.NO_FRAMES)

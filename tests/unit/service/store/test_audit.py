@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from service.base.errors import StoreError
 from service.commands.cli import build_app
 from service.store import Store, audit, open_store
-from service.store.audit import check_chain, note_alone
+from service.store.audit import check_chain
 from service.store.events import events_after
 
 
@@ -34,7 +34,7 @@ def tamper(state_dir: Path, statement: str) -> None:
 
 async def note(store: Store, n: int) -> None:
     for number in range(n):
-        await store.write(note_alone, "key mes", "lot opened", f"L{number}", None, {"tonnage_t": number})
+        await store.write(audit.note, "key mes", "lot opened", f"L{number}", after={"tonnage_t": number})
 
 
 @pytest.mark.parametrize(

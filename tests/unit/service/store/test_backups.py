@@ -30,6 +30,7 @@ from service.daemon.backing_up import BackingUp
 from service.store import Store, backups, history, open_store
 from service.store.backups import back_up, restore
 from service.store.history import backups_in
+from service.store.reads import particle, results_after
 from service.store.trouble import TroubleCause
 
 
@@ -64,7 +65,7 @@ async def test_a_backup_while_results_are_written_is_of_one_moment(
 
 
 async def test_the_newest_backups_are_kept(store: Store, session: int, state_dir: Path) -> None:
-    assert store.last_backup() is None
+    assert backups_in(store.dir) == []
     for name in ("results-20200101T000000Z.sqlite", "results-20200102T000000Z.sqlite"):
         (state_dir / "backups").mkdir(exist_ok=True)
         (state_dir / "backups" / name).touch()
@@ -73,7 +74,7 @@ async def test_the_newest_backups_are_kept(store: Store, session: int, state_dir
     made = await store.back_up(keep=2)
     assert [path.name for path in backups_in(state_dir)] == ["results-20200102T000000Z.sqlite", made.name]
     assert backups_in(state_dir) == sorted((state_dir / "backups").iterdir())
-    assert store.last_backup() == made
+    assert backups_in(store.dir)[-1] == made
 
 
 async def test_a_backup_made_by_a_clock_that_was_set_back_is_kept(
@@ -128,9 +129,9 @@ async def test_a_restored_backup_is_a_new_history_and_nothing_is_deleted(
     await asyncio.to_thread(restore, backup, state_dir)
     with await asyncio.to_thread(open_store, state_dir) as store:
         assert store.instance_id != before
-        assert [item["seq"] for item in (await store.results_after(0, 10)).items] == [1, 2]
+        assert [item["seq"] for item in (await store.read(results_after, 0, 10)).items] == [1, 2]
         for seq in (1, 2):
-            record = await store.particle(seq)
+            record = await store.read(particle, seq)
             assert record is not None
             assert (folder_of(state_dir, record["id"]) / "mesh.ply").exists()
         session = await store.begin_session({})
@@ -152,7 +153,7 @@ async def test_particles_that_were_moved_aside_come_back_with_their_results(
         assert not any(store.particles_dir.glob("*/*"))
     await asyncio.to_thread(restore, backup, state_dir)
     with await asyncio.to_thread(open_store, state_dir) as store:
-        record = await store.particle(1)
+        record = await store.read(particle, 1)
         assert record is not None
         assert (folder_of(state_dir, record["id"]) / "mesh.ply").exists()
 
@@ -182,12 +183,11 @@ async def test_what_is_no_file_is_not_copied(state_dir: Path, source: str) -> No
 class BackupsOfTest:
     """In the place of the store: the first backup fails."""
 
+    dir = Path("no backups")
+
     def __init__(self) -> None:
         self.n_made = 0
         self.made = asyncio.Event()
-
-    def last_backup(self) -> None:
-        return None
 
     async def back_up(self, keep: int) -> Path:
         self.n_made += 1
@@ -293,7 +293,7 @@ async def backed_up(state_dir: Path, tmp_path: Path) -> tuple[Path, list[str]]:
             await add_with_files(store, session, number, tmp_path)
         backup = await store.back_up(keep=4)
         await add_with_files(store, session, 3, tmp_path)
-        names = [item["id"] for item in (await store.results_after(0, 10)).items]
+        names = [item["id"] for item in (await store.read(results_after, 0, 10)).items]
     history.move_particles([folder_of(state_dir, names[0])], history.aside_folder(state_dir, "strays"))
     return backup, names
 
@@ -301,7 +301,7 @@ async def backed_up(state_dir: Path, tmp_path: Path) -> tuple[Path, list[str]]:
 async def require_one_whole_history(state_dir: Path, names: list[str], former: tuple[str, int, int]) -> bool:
     """Fail unless the next start has the former history or the restored one, whole; True for the latter."""
     with await asyncio.to_thread(open_store, state_dir) as store:
-        served = [item["id"] for item in (await store.results_after(0, 10)).items]
+        served = [item["id"] for item in (await store.read(results_after, 0, 10)).items]
         is_restored = store.instance_id != former[0]
         assert served == (names[:2] if is_restored else names)
         assert meshes_in_place(state_dir) == set(names[:2] if is_restored else names[1:])

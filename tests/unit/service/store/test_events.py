@@ -46,7 +46,7 @@ async def until(is_so: Callable[[], bool]) -> None:
 
 async def test_what_is_noted_is_durable_in_its_order_and_wakes_who_waits(store: Store) -> None:
     log = EventLog(store)
-    waiting = asyncio.create_task(store.wait_beyond_event(4))
+    waiting = asyncio.create_task(store.wait_while(lambda: store.last_event <= 4))
     for number in range(5):
         log.note(changed(str(number)))
     await log.written()

@@ -20,8 +20,8 @@ from service.lots.stones import MEASURED_COLUMNS
 from service.results.fields import INDEXED_FIELDS
 from service.store import ParticleFilter, Store, indexed_fields, open_store, schema
 from service.store.backups import restore
-from service.store.reads import particles
-from service.store.revisions import add_revision
+from service.store.reads import particles, results_after
+from service.store.writes import add_revision
 
 LONGER = (*INDEXED_FIELDS, "supported_share", "min_box_mm", "time_is_doubtful")
 """The list of another release."""
@@ -70,16 +70,16 @@ async def test_a_field_that_is_added_is_filled_from_the_records_at_the_next_star
 ) -> None:
     with await asyncio.to_thread(open_store, state_dir) as store:
         await fill(store)
-        before = (await store.results_after(0, 100)).items
+        before = (await store.read(results_after, 0, 100)).items
     assert columns(state_dir) == set(INDEXED_FIELDS)
     monkeypatch.setattr(indexed_fields, "INDEXED_FIELDS", LONGER)
     monkeypatch.setattr(indexed_fields, "STEP", 2)
     with caplog.at_level("INFO"), await asyncio.to_thread(open_store, state_dir) as store:
         assert store.incidents == []
-        assert (await store.results_after(0, 100)).items == before
-        listed = await store.particles(ParticleFilter(), None, 4)
+        assert (await store.read(results_after, 0, 100)).items == before
+        listed = await store.read(particles, ParticleFilter(), None, 4)
         assert [each["seq"] for each in listed] == [5, 4, 6, 1]  # a page is full whatever was removed
-        rods = await store.particles(ParticleFilter(zingg_class="rod"), None, 4)
+        rods = await store.read(particles, ParticleFilter(zingg_class="rod"), None, 4)
         assert [each["seq"] for each in rods] == [6, 1]  # balls have a form, and are no stones
     assert "indexes supported_share, min_box_mm, time_is_doubtful: up to result 2 of 5" in caplog.text
     assert rows(state_dir) == [

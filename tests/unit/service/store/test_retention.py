@@ -10,9 +10,10 @@ from support.outcomes import add, measured, rejected
 from support.rest import particle_files
 
 from service.store import Store
+from service.store.accounting import accounting
 from service.store.disk_use import days_until_full, store_use
 from service.store.holds import consumers, park, pin
-from service.store.reads import accounting
+from service.store.reads import particle, results_after
 from service.store.retention import (
     STEP,
     Disk,
@@ -36,7 +37,7 @@ async def fill(store: Store, session: int, folder: Path, n: int) -> None:
 
 async def states(store: Store) -> list[Any]:
     """Return why the files of each result that is left were removed."""
-    return [item["files_removed"] for item in (await store.results_after(0, 100)).items]
+    return [item["files_removed"] for item in (await store.read(results_after, 0, 100)).items]
 
 
 async def remove_files(store: Store) -> None:
@@ -105,17 +106,17 @@ async def test_results_leave_the_feed_without_a_gap_and_the_accounting_keeps_the
     await fill(store, session, tmp_path, 3)
     for number, reason in ((4, "empty"), (5, "multiple"), (6, "empty")):
         await add(store, session, number, rejected(reason))
-    before = await store.accounting(session)
+    before = await store.read(accounting, session)
     limits = RetentionLimits(results_days=30)  # files go with their results at the latest
     await store.write(mark_files, limits, WIDE, LATER)
     assert await store.write(remove_results, limits, LATER) == 5  # the newest stays
-    page = await store.results_after(0, 10)
+    page = await store.read(results_after, 0, 10)
     assert (page.first_seq, page.last_seq) == (6, 6)
-    assert await store.particle(1) is not None  # not before its files
+    assert await store.read(particle, 1) is not None  # not before its files
     await remove_files(store)
     await store.write(remove_results, limits, LATER)
-    assert await store.particle(1) is None
-    assert await store.accounting(session) == before
+    assert await store.read(particle, 1) is None
+    assert await store.read(accounting, session) == before
     assert await store.read(accounting, None) == before
     assert before.is_balanced
     assert await add(store, session, 7, measured()) == 7
@@ -134,15 +135,15 @@ async def test_a_pinned_result_keeps_row_and_files_until_it_is_unpinned(
         await store.write(remove_results, limits, LATER)
 
     await retain()
-    record = await store.particle(2)
+    record = await store.read(particle, 2)
     assert record is not None
     assert (record["is_pinned"], record["pin_reason"]) == (True, "dispute with the customer")
     assert record["files_removed"] is None
-    page = await store.results_after(3, 10)
+    page = await store.read(results_after, 3, 10)
     assert (page.first_seq, [item["seq"] for item in page.items]) == (4, [4])
     await store.write(pin, 2, None, "key mes")
     await retain()
-    assert await store.particle(2) is None
+    assert await store.read(particle, 2) is None
 
 
 async def test_a_consumer_holds_what_it_has_not_read_but_not_for_ever(
@@ -161,7 +162,7 @@ async def test_a_consumer_holds_what_it_has_not_read_but_not_for_ever(
     mes, quick = await store.read(consumers)
     assert (mes.name, mes.unread, mes.is_overrun) == ("mes", 4, True)
     assert (quick.name, quick.is_overrun) == ("quick", False)
-    assert (await store.results_after(5, 10)).first_seq == 6
+    assert (await store.read(results_after, 5, 10)).first_seq == 6
 
 
 def test_times_that_are_not_known_are_in_doubt() -> None:

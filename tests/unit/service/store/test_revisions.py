@@ -22,11 +22,12 @@ from service.remeasuring.hindrance import RemeasureError
 from service.remeasuring.revising import revise
 from service.results.refinement import RUSH
 from service.store import ParticleFilter, Store, open_store
+from service.store.accounting import accounting
 from service.store.audit import entries
 from service.store.backups import restore
 from service.store.events import events_after
 from service.store.holds import pin
-from service.store.reads import newest_folder, seq_before
+from service.store.reads import newest_folder, particle, particles, results_after, seq_before
 from service.store.retention import Disk, RetentionLimits, files_going, mark_files, note_gone, remove_results
 from service.store.sweep import sweep
 
@@ -43,7 +44,7 @@ def stone(size_mm: float, **fields: Any) -> dict[str, Any]:
 
 
 async def id_of(store: Store, seq: int) -> str:
-    found = await store.particle(seq)
+    found = await store.read(particle, seq)
     assert found is not None
     return str(found["id"])
 
@@ -51,7 +52,7 @@ async def id_of(store: Store, seq: int) -> str:
 async def revised(store: Store, seq: int, record: dict[str, Any], folder: Path) -> int:
     """Revise the stone of this first result, with another mesh, and return the number of the item."""
     await asyncio.to_thread(write_mesh, folder)
-    before = await store.particle(await id_of(store, seq))
+    before = await store.read(particle, await id_of(store, seq))
     assert before is not None
     assert await revise(store, before, record, folder, "anna")
     return store.last_seq
@@ -87,7 +88,7 @@ async def filled(store: Store, session: int, tmp_path: Path) -> Store:
 
 
 async def test_a_revision_is_a_new_item_of_the_same_stone(filled: Store) -> None:
-    items = (await filled.results_after(0, 10)).items
+    items = (await filled.read(results_after, 0, 10)).items
     assert [(item["seq"], item.get("revision"), item.get("revises")) for item in items] == [
         (1, 1, None), (2, 1, None), (3, 1, None), (4, 2, 2),
     ]  # fmt: skip
@@ -96,9 +97,9 @@ async def test_a_revision_is_a_new_item_of_the_same_stone(filled: Store) -> None
     assert {name: again[name] for name in of_the_stone} == {name: first[name] for name in of_the_stone}
     assert (first["sieve_size_mm"], again["sieve_size_mm"]) == (10.0, 12.0)
     assert again["recorded_at"] >= first["recorded_at"]
-    assert await filled.particle(first["id"]) == await filled.particle(4) == again
-    assert await filled.particle(2) == first
-    assert [item["seq"] for item in (await filled.results_after(1, 2)).items] == [2, 3]
+    assert await filled.read(particle, first["id"]) == await filled.read(particle, 4) == again
+    assert await filled.read(particle, 2) == first
+    assert [item["seq"] for item in (await filled.read(results_after, 1, 2)).items] == [2, 3]
     assert filled.last_seq == 4
     assert await filled.read(seq_before, again["recorded_at"]) == 3
     assert await filled.read(seq_before, EVER[0]) == 0
@@ -107,7 +108,7 @@ async def test_a_revision_is_a_new_item_of_the_same_stone(filled: Store) -> None
 
 async def test_a_second_revision_follows_the_first(filled: Store, tmp_path: Path) -> None:
     assert await revised(filled, 2, rejected("clipped"), tmp_path / "again") == 5
-    newest = await filled.particle(await id_of(filled, 2))
+    newest = await filled.read(particle, await id_of(filled, 2))
     assert newest is not None
     assert (newest["revision"], newest["revises"], newest["outcome"]) == (3, 4, "rejected")
 
@@ -115,10 +116,10 @@ async def test_a_second_revision_follows_the_first(filled: Store, tmp_path: Path
 async def test_counts_and_balance_stay(store: Store, session: int, tmp_path: Path) -> None:
     await add(store, session, 1, stone(10.0), particle_files(tmp_path / "out"))
     await add(store, session, 2, rejected("empty"), particle_files(tmp_path / "out"))
-    before = await store.accounting(session)
+    before = await store.read(accounting, session)
     await revised(store, 1, rejected("clipped"), tmp_path / "again")
     await revised(store, 2, stone(11.0), tmp_path / "again")
-    assert await store.accounting(session) == await store.accounting() == before
+    assert await store.read(accounting, session) == await store.read(accounting) == before
     assert before.is_balanced
     assert await add(store, session, 3, stone(9.0)) == 5  # numbers go on after the revisions
 
@@ -128,7 +129,7 @@ async def test_stones_windows_and_lists_are_of_the_newest_revision(filled: Store
     assert sorted(window.lot.column("sieve_size_mm")) == [10.0, 10.0, 12.0]
 
     async def listed(**wanted: Any) -> list[int]:
-        return [each["seq"] for each in await filled.particles(ParticleFilter(**wanted), None, 10)]
+        return [each["seq"] for each in await filled.read(particles, ParticleFilter(**wanted), None, 10)]
 
     assert await listed() == [3, 4, 1]  # in the order of the stones
     assert await listed(min_sieve_size_mm=11) == [4]
@@ -136,7 +137,7 @@ async def test_stones_windows_and_lists_are_of_the_newest_revision(filled: Store
     await revised(filled, 2, {**rejected("clipped"), "sieve_size_mm": None}, tmp_path / "again")
     assert await listed(outcome="rejected") == [5]
     assert await listed(quality="good") == [3, 1]
-    assert [each["seq"] for each in await filled.particles(ParticleFilter(), 2, 10)] == [1]
+    assert [each["seq"] for each in await filled.read(particles, ParticleFilter(), 2, 10)] == [1]
 
 
 async def test_a_stone_that_is_refined_afterwards_counts_as_refined(
@@ -263,13 +264,13 @@ async def test_what_was_removed_meanwhile_is_not_revised(filled: Store, tmp_path
     with pytest.raises(RemeasureError, match="were just removed"):
         await revised(filled, 1, stone(11.0), tmp_path / "again")
     assert filled.last_seq == 4
-    assert (await filled.results_after(0, 10)).last_seq == 4
+    assert (await filled.read(results_after, 0, 10)).last_seq == 4
 
 
 async def test_a_result_stays_until_its_revision_has_left_the_feed(
     filled: Store, session: int, state_dir: Path
 ) -> None:
-    before = await filled.accounting()
+    before = await filled.read(accounting)
     name = await id_of(filled, 2)
     limits = RetentionLimits(files_days=30, results_days=35)
     await filled.write(mark_files, limits, WIDE, LATER)
@@ -279,24 +280,24 @@ async def test_a_result_stays_until_its_revision_has_left_the_feed(
         await filled.write(note_gone, [seq])
     assert await filled.read(lambda base: base.execute("SELECT files_bytes FROM store").fetchone()) == (0,)
     assert await filled.write(remove_results, limits, LATER) == 3  # the newest item, a revision, stays
-    page = await filled.results_after(3, 10)
+    page = await filled.read(results_after, 3, 10)
     assert (page.first_seq, page.last_seq, [item["seq"] for item in page.items]) == (4, 4, [4])
     assert page.items[0]["files_removed"] == "age"
-    assert await filled.particle(1) is None
-    assert await filled.particle(name) is not None
+    assert await filled.read(particle, 1) is None
+    assert await filled.read(particle, name) is not None
 
     await add(filled, session, 9, stone(10.0))
     await add(filled, session, 10, stone(10.0))
     assert await filled.write(remove_results, limits, LATER) == 2
-    assert (await filled.results_after(5, 10)).first_seq == 6
-    assert await filled.particle(name) is None
-    after = await filled.accounting()
+    assert (await filled.read(results_after, 5, 10)).first_seq == 6
+    assert await filled.read(particle, name) is None
+    after = await filled.read(accounting)
     assert (after.measured, after.is_balanced) == (before.measured + 2, True)
 
 
 async def test_a_pin_is_of_the_stone(filled: Store) -> None:
     await filled.write(pin, 2, "dispute", "anna")
-    pinned = [item["seq"] for item in (await filled.results_after(0, 10)).items if item["is_pinned"]]
+    pinned = [item["seq"] for item in (await filled.read(results_after, 0, 10)).items if item["is_pinned"]]
     assert pinned == [2, 4]
 
 
@@ -313,7 +314,7 @@ async def test_a_restart_and_a_restored_backup_have_the_revisions(state_dir: Pat
     restore(backup, state_dir)
     with await asyncio.to_thread(open_store, state_dir) as store:
         assert store.instance_id != instance_id
-        newest = await store.particle(name)
+        newest = await store.read(particle, name)
         assert newest is not None
         assert (newest["revision"], newest["sieve_size_mm"]) == (2, 11.0)
         assert (await store.folder(2) / "mesh.ply").is_file()

@@ -6,6 +6,8 @@ from support.store_process import run_until_killed
 from support.stores import folder_of
 
 from service.store import open_store
+from service.store.accounting import accounting
+from service.store.reads import results_after
 
 
 async def test_kill_9_loses_nothing_acknowledged(state_dir: Path) -> None:
@@ -14,11 +16,11 @@ async def test_kill_9_loses_nothing_acknowledged(state_dir: Path) -> None:
         acknowledged |= run_until_killed(state_dir, n_acknowledged)
     store = open_store(state_dir)
     try:
-        n_open = (await store.accounting()).in_progress
+        n_open = (await store.read(accounting)).in_progress
         assert n_open > 0
         assert await store.lose_open("shutdown", "killed") == n_open
-        counts = await store.accounting()
-        items = (await store.results_after(0, 10_000)).items
+        counts = await store.read(accounting)
+        items = (await store.read(results_after, 0, 10_000)).items
     finally:
         store.close()
     by_seq = {item["seq"]: item for item in items}

@@ -21,9 +21,11 @@ from service.base.errors import StoreError
 from service.health.alarms.alarms import open_alarms
 from service.results.fields import LossReason
 from service.store import history, open_store
-from service.store.audit import note_alone
+from service.store.accounting import accounting
+from service.store.audit import note
 from service.store.event_log import EventLog
 from service.store.events import EventType, NewEvent
+from service.store.reads import gate_count, open_triggers, results_after
 from service.store.retention import Disk, RetentionLimits, mark_files, remove_results
 from service.store.trouble import TroubleCause
 
@@ -51,7 +53,7 @@ async def fill(state_dir: Path) -> None:
                 await add(store, session, number, rejected("empty"))
         await store.record_triggers(session, {"open": trigger(98), "left": trigger(99)})
         for number in range(5):
-            await store.write(note_alone, "key mes", "lot opened", f"L{number}", None, {"tonnage_t": number})
+            await store.write(note, "key mes", "lot opened", f"L{number}", after={"tonnage_t": number})
         events = EventLog(store)
         events.note(*(NewEvent(type=EventType.LOT_OPENED, subject=f"L{number}") for number in range(9)))
         await events.written()
@@ -75,13 +77,13 @@ async def start_and_serve(state_dir: Path) -> list[str]:
     with await asyncio.to_thread(open_store, state_dir) as store:
         async with asyncio.timeout(PATIENCE_S):  # a store that is held waits
             session = await store.begin_session(INFO)
-            await store.open_triggers([])
+            await store.read(open_triggers, store.session, [])
             await store.lose_open(LossReason.CRASH, "the daemon ended")
-            await store.gate_count()
+            await store.read(gate_count)
             await open_alarms(store, EventLog(store))
             seq = await add(store, session, 1, measured())
-            assert (await store.results_after(0, 1000)).items[-1]["seq"] == seq
-            assert (await store.accounting()).is_balanced
+            assert (await store.read(results_after, 0, 1000)).items[-1]["seq"] == seq
+            assert (await store.read(accounting)).is_balanced
             limits, now = RetentionLimits(files_days=1, results_days=1), datetime.now(UTC)
             await store.write(mark_files, limits, Disk(10**12, 10**12), now)
             await store.write(remove_results, limits, now)
@@ -203,7 +205,7 @@ async def test_damage_of_an_old_record_holds_the_store_and_the_next_start_finds_
     with await asyncio.to_thread(open_store, state_dir) as store:
         assert store.incidents == []
         with pytest.raises(StoreError):
-            await store.results_after(0, 10)
+            await store.read(results_after, 0, 10)
         assert store.trouble is not None
         assert store.trouble.cause is TroubleCause.DAMAGED
     assert "results" in (await start_and_serve(state_dir))[0]

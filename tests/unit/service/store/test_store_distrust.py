@@ -19,9 +19,10 @@ from typer.testing import CliRunner
 from service.base.errors import StoreError
 from service.commands.cli import build_app
 from service.daemon.retaining import LowThread, Retaining
-from service.store import Store, open_store
-from service.store.audit import check_chain, entries, kept_digests, next_digest, note_alone
+from service.store import Store, audit, open_store
+from service.store.audit import check_chain, entries, kept_digests, next_digest
 from service.store.backups import restore
+from service.store.reads import results_after
 from service.store.retention import Disk, RetentionLimits
 
 Tamper = Callable[[sqlite3.Connection], None]
@@ -62,7 +63,7 @@ def make_audit_anew(other: sqlite3.Connection) -> None:
 
 async def note(store: Store, n: int) -> None:
     for number in range(n):
-        await store.write(note_alone, "key mes", "lot opened", f"L{number}", None, {"tonnage_t": number})
+        await store.write(audit.note, "key mes", "lot opened", f"L{number}", after={"tonnage_t": number})
 
 
 @pytest.fixture
@@ -164,7 +165,7 @@ async def test_a_backup_of_another_store_is_restored_on_request_alone(
     done = await asyncio.to_thread(CliRunner().invoke, build_app(["restore"]), restoring)
     assert (done.exit_code, done.output.startswith("restored")) == (0, True)
     with await asyncio.to_thread(open_store, other_dir) as store:
-        assert (await store.results_after(0, 10)).items[0]["seq"] == 1
+        assert (await store.read(results_after, 0, 10)).items[0]["seq"] == 1
 
 
 @pytest.mark.parametrize(

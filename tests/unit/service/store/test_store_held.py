@@ -16,6 +16,8 @@ from pipeline.frames import BundleKind, Trigger
 from service.base.errors import StoreError
 from service.results.record import lost_record
 from service.store import Store, open_store, writer
+from service.store.accounting import accounting
+from service.store.reads import particle, results_after
 from service.store.trouble import TroubleCause
 
 
@@ -53,16 +55,16 @@ async def test_a_locked_database_holds_and_what_fell_meanwhile_is_counted(
         assert "end the program" in str(store.trouble)
         await store.record_triggers(session, {"2": trigger(2)})  # does not wait
         await store.record_triggers(session, {"3": trigger(3, BundleKind.BALL)})
-        assert (await store.accounting()).triggers == 1  # clients are answered
+        assert (await store.read(accounting)).triggers == 1  # clients are answered
         assert not finishing.done()
     assert await finishing == 1
     assert store.trouble is None
     assert await store.finish(session, "2", lost(trigger(2))) == 2
     assert await store.finish(session, "3", lost(trigger(3, BundleKind.BALL))) == 3
-    counts = await store.accounting()
+    counts = await store.read(accounting)
     assert (counts.triggers, counts.measured, counts.by_reason) == (3, 1, {"store_held": 2})
     assert counts.is_balanced
-    record = await store.particle(3)
+    record = await store.read(particle, 3)
     assert record is not None
     assert (record["kind"], record["sequence"], record["captured_at"]) == (
         "ball",
@@ -93,7 +95,7 @@ async def test_a_full_disk_holds_until_there_is_room(
         assert "make room" in str(store.trouble)
         is_full.clear()
         assert await finishing == 1
-        assert (await store.accounting()).measured == 1
+        assert (await store.read(accounting)).measured == 1
         assert not any(path.exists() for path in files.values())
 
 
@@ -119,7 +121,7 @@ async def test_a_disk_that_does_not_answer_keeps_no_trigger_waiting(
 ) -> None:
     monkeypatch.setattr(writer, "STALLED_S", 0.01)
     answers = threading.Event()
-    hanging = store._submit(lambda connection: answers.wait())
+    hanging = store.write_later(lambda _: answers.wait())
     await store.record_triggers(session, {"1": trigger(1)})
     await until(lambda: store.trouble is not None)
     assert "not answered" in str(store.trouble)
@@ -127,7 +129,7 @@ async def test_a_disk_that_does_not_answer_keeps_no_trigger_waiting(
     answers.set()
     await hanging
     assert [await store.finish(session, name, lost(trigger(int(name)))) for name in "12"] == [1, 2]
-    assert (await store.accounting()).is_balanced
+    assert (await store.read(accounting)).is_balanced
 
 
 async def test_a_held_store_can_be_closed(state_dir: Path) -> None:
@@ -142,7 +144,7 @@ async def test_a_held_store_can_be_closed(state_dir: Path) -> None:
         with pytest.raises(StoreError, match="locked"):
             await finishing
     with await asyncio.to_thread(open_store, state_dir) as store:
-        assert (await store.accounting()).in_progress == 1
+        assert (await store.read(accounting)).in_progress == 1
 
 
 def overwrite_pages(path: Path) -> None:
@@ -161,7 +163,7 @@ async def test_damage_that_shows_while_running_holds_for_good(state_dir: Path) -
     await add(store, session, 1, measured())
     overwrite_pages(state_dir / "results.sqlite")
     with pytest.raises(StoreError, match="malformed"):
-        await store.results_after(0, 10)
+        await store.read(results_after, 0, 10)
     assert cause(store) is TroubleCause.DAMAGED
     assert "restore a backup" in str(store.trouble)
     await store.record_triggers(session, {"2": trigger(2)})
@@ -179,7 +181,7 @@ async def test_a_record_that_cannot_be_read_holds(store: Store, session: int, st
         other.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     path.write_bytes(path.read_bytes().replace(b'"text": "here"', b'"text": "he\xffe"'))
     with pytest.raises(StoreError):
-        await store.results_after(0, 10)
+        await store.read(results_after, 0, 10)
     assert cause(store) is TroubleCause.DAMAGED
 
 

@@ -15,6 +15,7 @@ from support.store_process import run_until_killed
 
 from service.base.errors import StoreError
 from service.store import Store, open_store
+from service.store.reads import results_after
 
 
 async def add_measured(state_dir: Path, count: int, *, with_files: bool = True) -> str:
@@ -50,7 +51,7 @@ async def test_an_older_copy_in_the_place_of_the_database_begins_a_new_history(
         (incident,) = store.incidents
         assert "ends at result 3" in incident
         assert store.last_seq >= 7
-        assert [item["seq"] for item in (await store.results_after(0, 10)).items] == [1, 2, 3]
+        assert [item["seq"] for item in (await store.read(results_after, 0, 10)).items] == [1, 2, 3]
         assert await next_seq(store) == 8
         kept = {path.name for path in (state_dir / "particles").glob("*/*")}
         moved = {path.name for path in (state_dir / "aside").glob("*/particles/*")}

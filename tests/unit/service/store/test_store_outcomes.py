@@ -23,13 +23,14 @@ from service.results.fields import LossReason, Result
 from service.results.record import lost_record
 from service.results.version import ALGORITHM_VERSION
 from service.store import ParticleFilter, Store, open_store, writes
-from service.store.outcome_counts import OutcomeCounts, outcome_counts
+from service.store.accounting import OutcomeCounts, accounting, outcome_counts
+from service.store.reads import gate_count, open_triggers, particle, particles, results_after
 from service.store.retention import RetentionLimits, remove_results
 from service.store.writes import NOTE_EVERY
 
 
 async def seqs(store: Store) -> list[int]:
-    return [record["seq"] for record in (await store.results_after(0, 1000)).items]
+    return [record["seq"] for record in (await store.read(results_after, 0, 1000)).items]
 
 
 async def test_concurrent_finishes_are_numbered_without_gaps(store: Store, session: int) -> None:
@@ -45,7 +46,7 @@ async def test_a_second_outcome_is_refused(store: Store, session: int, tmp_path:
         store.finish(session, "a", rejected("empty"), particle_files(tmp_path / "out")),
     )
     assert first == second == 1
-    record = await store.particle(1)
+    record = await store.read(particle, 1)
     assert record is not None
     assert (record["outcome"], record["volume_mm3"], record["mesh"]) == ("measured", 1.5, None)
     assert (tmp_path / "out" / "mesh.ply").exists()  # not taken, because not used
@@ -58,7 +59,7 @@ async def test_files_move_to_the_particle(
     files = particle_files(tmp_path / "out")
     content = {path.name: path.read_bytes() for path in (tmp_path / "out").rglob("*.*")}
     await add(store, session, 1, measured(), files)
-    record = await store.particle(1)
+    record = await store.read(particle, 1)
     assert record is not None
     folder = folder_of(state_dir, record["id"])
     assert record["mesh"] == f"particles/{record['id']}/mesh.ply"
@@ -73,7 +74,7 @@ async def test_a_failed_write_changes_nothing_and_can_be_repeated(
     with pytest.raises(StoreError, match="CHECK constraint failed"):
         await add(store, session, 1, {**measured(), "outcome": "odd"}, files)
     assert await seqs(store) == []
-    assert (await store.accounting()).in_progress == 1
+    assert (await store.read(accounting)).in_progress == 1
     assert await store.finish(session, "00000001", measured(), files) == 1
     folder = folder_of(state_dir, "*")
     assert sorted(path.name for path in folder.iterdir()) == ["bundle.tiff", "mesh.ply", "silhouettes.tiff"]
@@ -87,7 +88,7 @@ async def test_a_file_that_was_deleted_is_left_out_of_its_result(
     await add(store, session, 1, measured(), files)
     folder = folder_of(state_dir, "*")
     assert sorted(path.name for path in folder.iterdir()) == ["bundle.tiff", "silhouettes.tiff"]
-    record = await store.particle(1)
+    record = await store.read(particle, 1)
     assert record is not None
     assert (record["outcome"], record["mesh"]) == ("measured", None)
 
@@ -96,21 +97,21 @@ async def test_the_count_of_the_gate_is_that_of_the_newest_session_that_knows_on
     first, second = (GateCount(gate="a,b,1", sequence=n, device_us=1000 * n) for n in (7, 9))
     with await asyncio.to_thread(open_store, state_dir) as store:
         session = await store.begin_session({})
-        assert await store.gate_count() is None
+        assert await store.read(gate_count) is None
         await store.record_triggers(session, {"a": trigger(7)}, first)
-        assert await store.gate_count() == (first, 0)
+        assert await store.read(gate_count) == (first, 0)
         await store.record_triggers(session, {"b": trigger(8), "c": trigger(8)})  # not announced
-        assert await store.gate_count() == (first, 2)
+        assert await store.read(gate_count) == (first, 2)
     with await asyncio.to_thread(open_store, state_dir) as store:
         session = await store.begin_session({})  # killed before it heard of the gate
         session = await store.begin_session({})
-        assert await store.gate_count() == (first, 2)
+        assert await store.read(gate_count) == (first, 2)
         await store.record_triggers(session, {"a": trigger(9)}, second)
-        assert await store.gate_count() == (second, 0)
+        assert await store.read(gate_count) == (second, 0)
         await store.forget_gate_count(session)
-        assert await store.gate_count() is None
+        assert await store.read(gate_count) is None
         session = await store.begin_session({})
-        assert await store.gate_count() is None
+        assert await store.read(gate_count) is None
 
 
 async def test_triggers_that_are_measured_yet_stay_open(state_dir: Path) -> None:
@@ -120,12 +121,12 @@ async def test_triggers_that_are_measured_yet_stay_open(state_dir: Path) -> None
         new = await store.begin_session({})
         await store.record_triggers(new, {"a": trigger(1)})
         left = [(old, "a"), (old, "b"), (old, "gone"), (new, "a")]
-        assert await store.open_triggers(left) == [(old, "b"), (old, "a")]
+        assert await store.read(open_triggers, store.session, left) == [(old, "b"), (old, "a")]
         assert await store.lose_open("crash", "killed", but={(old, "a")}) == 2
-        assert await store.open_triggers(left) == [(old, "a")]
+        assert await store.read(open_triggers, store.session, left) == [(old, "a")]
         await store.finish(old, "a", measured())
-        assert await store.open_triggers(left) == []
-        counts = await store.accounting(old)
+        assert await store.read(open_triggers, store.session, left) == []
+        counts = await store.read(accounting, old)
         assert (counts.measured, counts.lost) == (1, 2)
 
 
@@ -203,9 +204,9 @@ async def test_a_store_of_the_first_schema_goes_on(state_dir: Path) -> None:
     with await asyncio.to_thread(open_store, state_dir) as store:
         session = await store.begin_session({})
         await add(store, session, 3, measured(sieve_size_mm=30.0))
-        large = await store.particles(ParticleFilter(min_sieve_size_mm=10.0), None, 10)
+        large = await store.read(particles, ParticleFilter(min_sieve_size_mm=10.0), None, 10)
         assert [record["seq"] for record in large] == [3, 1]
-        counts = await store.accounting()
+        counts = await store.read(accounting)
         assert (counts.triggers, counts.measured, counts.by_reason) == (3, 2, {"empty": 1})
         stones = await store.read(stones_between, "2000", "3000")
         assert sum(stones.lot.counts.values()) == 3
@@ -215,7 +216,7 @@ async def test_readers_have_threads_of_their_own(store: Store, session: int) -> 
     answered = threading.Event()
     others = [asyncio.create_task(asyncio.to_thread(answered.wait)) for _ in range(64)]
     async with asyncio.timeout(PATIENCE_S):
-        assert (await store.accounting()).triggers == 0
+        assert (await store.read(accounting)).triggers == 0
     answered.set()
     await asyncio.gather(*others)
 
@@ -246,7 +247,7 @@ async def test_what_a_crash_left_under_the_next_number_is_removed(state_dir: Pat
 
 async def test_a_cancelled_caller_loses_no_outcome_and_wakes_readers(store: Store, session: int) -> None:
     await store.record_triggers(session, {"a": trigger(1)})
-    waiting = asyncio.create_task(store.wait_beyond(0))
+    waiting = asyncio.create_task(store.wait_while(lambda: store.last_seq == 0))
     finishing = asyncio.create_task(store.finish(session, "a", measured()))
     await asyncio.sleep(0)
     finishing.cancel()
@@ -257,11 +258,11 @@ async def test_a_cancelled_caller_loses_no_outcome_and_wakes_readers(store: Stor
 
 async def test_extra_keys_survive_and_the_trigger_has_the_last_word(store: Store, session: int) -> None:
     await add(store, session, 1, measured(roughness_um=3.25, sequence=99, seq=7, captured_at="whenever"))
-    record = await store.particle(1)
+    record = await store.read(particle, 1)
     assert record is not None
     assert (record["roughness_um"], record["sequence"]) == (3.25, 1)
     assert record["captured_at"] == "2026-02-28T23:01:00.000Z"
-    assert record == await store.particle(record["id"])
+    assert record == await store.read(particle, record["id"])
 
 
 async def test_open_triggers_of_earlier_sessions_become_lost(state_dir: Path) -> None:
@@ -277,7 +278,7 @@ async def test_open_triggers_of_earlier_sessions_become_lost(state_dir: Path) ->
         assert await store.lose_open("worker_crash", "the daemon was killed") == 2
         assert await store.lose_open("worker_crash", "") == 0
         assert store.instance_id == instance_id
-        items = (await store.results_after(1, 10)).items
+        items = (await store.read(results_after, 1, 10)).items
         assert [(item["seq"], item["bundle"], item["outcome"], item["reason"]) for item in items] == [
             (2, "2", "lost", "worker_crash"),
             (3, "3", "lost", "worker_crash"),
@@ -285,7 +286,7 @@ async def test_open_triggers_of_earlier_sessions_become_lost(state_dir: Path) ->
         result = Result.model_validate(items[0], strict=True)  # complete: no field is absent
         assert (result.is_simulated, result.calibration_id) == (True, "0123")
         assert result.algorithm_version == ALGORITHM_VERSION
-        everything, current = await store.accounting(), await store.accounting(new)
+        everything, current = await store.read(accounting), await store.read(accounting, new)
     assert (everything.triggers, everything.measured, everything.lost, everything.in_progress) == (4, 1, 2, 1)
     assert (current.triggers, current.lost, current.in_progress) == (1, 0, 1)
     assert everything.is_balanced
@@ -299,7 +300,7 @@ async def test_accounting_adds_up_and_counts_backgrounds_apart(store: Store, ses
     await add(store, session, 4, measured(quality="reduced"))
     await add(store, session, 5, rejected("clipped"))
     await add(store, session, 6, {"outcome": "lost", "reason": "queue_full"})
-    counts = await store.accounting()
+    counts = await store.read(accounting)
     assert (counts.triggers, counts.measured, counts.rejected, counts.lost, counts.in_progress) == (
         5,
         2,
@@ -366,7 +367,7 @@ async def test_results_of_a_replay_are_marked_and_never_beside_those_of_stones_t
             await store.begin_session(other)  # nothing came of it
             session = await store.begin_session(info)
             await add(store, session, 1, measured(), {})
-            record = await store.particle(1)
+            record = await store.read(particle, 1)
             assert record is not None
             assert record["is_replay"] is (folder == "replay")
             with pytest.raises(StoreError, match=r"choose another store\.dir"):
@@ -384,7 +385,7 @@ async def test_results_by_a_clock_that_was_not_set_are_marked_and_stay_so(
             await add(store, session, 1, measured(), {})
         await add(store, session, 2, measured(), {})
     with closing(open_store(state_dir)) as store:
-        records = (await store.results_after(0, 10)).items
+        records = (await store.read(results_after, 0, 10)).items
         assert [record["time_is_doubtful"] for record in records] == [True, False]
 
 
@@ -405,7 +406,7 @@ def lost_together(n_stones: int) -> dict[str, object]:
 
 async def balance(store: Store) -> tuple[int, int, int]:
     """Return how many triggers there are, how many of them were lost and are open, wherever it is said."""
-    counts = await store.accounting()
+    counts = await store.read(accounting)
     assert counts.is_balanced
     assert counts.by_reason.get("down", 0) == counts.lost
     outcomes = await store.read(outcome_counts, OutcomeCounts())
@@ -418,7 +419,7 @@ async def test_one_entry_with_a_number_counts_as_so_many_stones(store: Store, se
     assert await balance(store) == (MANY, 0, MANY)
     await store.finish(session, "gap", lost_together(MANY))
     assert await balance(store) == (MANY, MANY, 0)
-    (entry,) = (await store.results_after(0, 10)).items
+    (entry,) = (await store.read(results_after, 0, 10)).items
     assert (entry["seq"], entry["outcome"], entry["n_stones"]) == (1, "lost", MANY)
     assert Result.model_validate(entry, strict=True).n_stones == MANY
     await store.finish(session, "late", {**lost_together(3), "bundle": "late"})  # without a row of its own
@@ -432,7 +433,7 @@ async def test_a_removed_entry_with_a_number_is_still_counted(store: Store, sess
         await store.record_triggers(session, {f"{sequence}": replace(trigger(sequence), n_stones=MANY)})
         await store.finish(session, f"{sequence}", lost_together(MANY))
     await store.write(remove_results, RetentionLimits(results_days=1), datetime(2027, 1, 1, tzinfo=UTC))
-    assert len((await store.results_after(0, 10)).items) == 1
+    assert len((await store.read(results_after, 0, 10)).items) == 1
     assert await balance(store) == (2 * MANY, 2 * MANY, 0)
 
 
@@ -444,9 +445,12 @@ async def test_a_kill_before_its_outcome_loses_none_of_its_stones(state_dir: Pat
         await store.record_triggers(session, {"gap": replace(trigger(7), n_stones=MANY)})
     with await asyncio.to_thread(open_store, state_dir) as store:
         await store.begin_session({})
-        assert await store.gate_count() == (count, MANY)  # the gate's count from there on is known to be lost
+        assert await store.read(gate_count) == (
+            count,
+            MANY,
+        )  # the gate's count from there on is known to be lost
         assert await store.lose_open(LossReason.CRASH, "killed") == MANY + 1
-        counts = await store.accounting()
+        counts = await store.read(accounting)
     assert (counts.triggers, counts.lost, counts.by_reason) == (MANY + 1, MANY + 1, {"crash": MANY + 1})
 
 
@@ -457,6 +461,6 @@ async def test_open_triggers_are_lost_in_steps_of_which_each_is_whole(state_dir:
         await store.begin_session({})
         lost = [await store.lose_open("crash", "killed", but={(old, "1"), (old, "8")}, most=3) for _ in "123"]
         assert lost == [3, 3, 1]
-        items = (await store.results_after(0, 10)).items
+        items = (await store.read(results_after, 0, 10)).items
         assert [item["bundle"] for item in items] == ["0", "2", "3", "4", "5", "6", "7"]
-        assert (await store.accounting()).in_progress == 2
+        assert (await store.read(accounting)).in_progress == 2
