@@ -43,14 +43,6 @@ MakeFiles = Callable[[str, FileDropSettings], Awaitable[LotFiles | None]]
 """Returns the files of a lot, in all formats; None if there is no such lot."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DueLots:
-    """Closed lots whose newest revision is not written."""
-
-    complete: list[str]
-    measured_yet: list[str]  # stones of these have no outcome
-
-
 async def open_file_drop(store: Store, settings: FileDropSettings | None) -> "FileDrop":
     """Return the file drop, as an earlier run of the daemon has left it."""
     if settings is not None:
@@ -93,24 +85,25 @@ class FileDrop:
     async def _look(self, settings: FileDropSettings, make_files: MakeFiles) -> float | None:
         """Write what is due; return how long to wait for the next look, None: until something happens."""
         troubles = []
-        measured_yet: list[str] = []
+        due: dict[str, bool] = {}
         try:
             due = await self._store.read(due_lots)
-            measured_yet = due.measured_yet
-            for lot in due.complete:
+            for lot in (lot for lot, is_complete in due.items() if is_complete):
                 try:
                     await self._drop(settings, lot, make_files)
                 except ServiceError as err:  # of this lot; the others are written
                     troubles.append(f"lot {lot}: {err}")
-        except (StoreError, OSError) as err:
-            troubles.append(_words(settings, err))
+        except StoreError as err:
+            troubles.append(str(err))
+        except OSError as err:
+            troubles.append(f"{settings.dir}: {err.strerror or err}")
         trouble = "; ".join(troubles) or None
         if trouble is not None and trouble != self.trouble:
             log.error("file drop: %s", trouble)
         self.trouble = trouble
         if trouble is not None:
             return self._retry_s
-        return LOOK_S if measured_yet else None
+        return None if all(due.values()) else LOOK_S
 
     async def _drop(self, settings: FileDropSettings, lot: str, make_files: MakeFiles) -> None:
         files = await make_files(lot, settings)
@@ -156,17 +149,17 @@ def begin_file_drop(connection: sqlite3.Connection) -> None:
         )
 
 
-def due_lots(connection: sqlite3.Connection) -> DueLots:
-    """Return the lots that were closed, voided or changed since their files were written, oldest first."""
+def due_lots(connection: sqlite3.Connection) -> dict[str, bool]:
+    """Return the lots that were closed, voided or changed since their files were written, oldest first.
+
+    True is a lot all of whose stones have an outcome.
+    """
     rows = connection.execute(
-        "SELECT lot, EXISTS (SELECT 1 FROM triggers WHERE triggers.state = 'open' AND triggers.lot = lots.lot)"
+        "SELECT lot, NOT EXISTS (SELECT 1 FROM triggers WHERE triggers.state = 'open' AND triggers.lot = lots.lot)"
         " FROM lots LEFT JOIN dropped_lots USING (lot)"
         " WHERE lots.state <> 'open' AND lots.revision > coalesce(dropped_lots.revision, 0) ORDER BY closed_at"
-    ).fetchall()
-    return DueLots(
-        complete=[lot for lot, is_measured_yet in rows if not is_measured_yet],
-        measured_yet=[lot for lot, is_measured_yet in rows if is_measured_yet],
     )
+    return {lot: bool(is_complete) for lot, is_complete in rows}
 
 
 def note_dropped(connection: sqlite3.Connection, lot: str, revision: int) -> None:
@@ -175,9 +168,3 @@ def note_dropped(connection: sqlite3.Connection, lot: str, revision: int) -> Non
         "INSERT OR REPLACE INTO dropped_lots (lot, revision, at) VALUES (?, ?, ?)",
         (lot, revision, utc_now()),
     )
-
-
-def _words(settings: FileDropSettings, error: StoreError | OSError) -> str:
-    if isinstance(error, StoreError):
-        return str(error)
-    return f"{settings.dir}: {error.strerror or error}"

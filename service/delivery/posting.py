@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
-from http import HTTPStatus
+from http import client
 from socket import SOCK_STREAM, getaddrinfo
 
 import h11
@@ -151,15 +151,11 @@ def _answer_of(response: h11.Response) -> EndpointAnswer:
     status = response.status_code
     if 200 <= status < 300:
         return EndpointAnswer(status=status)
-    try:
-        phrase = f" {HTTPStatus(status).phrase}"
-    except ValueError:
-        phrase = ""
-    problem = f"HTTP {status}{phrase}"
+    problem = f"HTTP {status} {client.responses.get(status, '')}".rstrip()
     if 300 <= status < 400:
         problem += ": redirects are not followed"
-    headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in response.headers}
-    retry_after_s = _seconds(headers.get("retry-after", ""), datetime.now(UTC))
+    retry_after = dict(response.headers).get(b"retry-after", b"").decode("latin-1")
+    retry_after_s = _seconds(retry_after, datetime.now(UTC))
     return EndpointAnswer(status=status, problem=problem, retry_after_s=retry_after_s)
 
 

@@ -90,10 +90,5 @@ def enabled(progress: EndpointProgress) -> EndpointProgress:
 def replayed(progress: EndpointProgress, after: int) -> EndpointProgress:
     """Return the progress of an endpoint that gets all events after a number again."""
     return replace(
-        progress,
-        after=after,
-        attempts=0,
-        waited_s=0.0,
-        failing_since=None,
-        next_attempt_at=None,
+        enabled(progress), after=after, last_problem=progress.last_problem, disabled_at=progress.disabled_at
     )

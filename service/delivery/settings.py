@@ -16,7 +16,7 @@ from drivers.files.bounded import read_bounded
 from service.base.addresses import address_of, is_host
 from service.base.configured_paths import ConfiguredPath
 from service.base.language import Language
-from service.delivery.signatures import key_of
+from service.delivery.message import key_of
 from service.store.events import EventType
 
 PRIVATE_NETWORKS = ("10.0.0.0/8", "172.16.0.0/12", "192.168.0.0/16", "fc00::/7")

@@ -14,13 +14,13 @@ from pipeline.frames import rfc3339
 from service.base.errors import ProblemError, ProblemKind, StoreError
 from service.base.status import Checks, trouble_check
 from service.delivery import table
-from service.delivery.message import Message, message_of, trial_message
+from service.delivery.message import Message, message_of, signatures, trial_message
 from service.delivery.posting import post
 from service.delivery.progress import EndpointAnswer, EndpointProgress, next_progress
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
-from service.delivery.signatures import signatures
 from service.delivery.table import Attempt
 from service.store import Store
+from service.store.events import events_after
 
 log = logging.getLogger(__name__)
 
@@ -142,16 +142,14 @@ class Webhooks:
 
     async def status(self, name: str) -> EndpointStatus:
         """Return the status of an endpoint."""
-        return await self._status_of(self._endpoints[name])
-
-    async def _status_of(self, endpoint: WebhookEndpoint) -> EndpointStatus:
-        progress = await self._store.read(table.progress_of, endpoint.name)
+        endpoint = self._endpoints[name]
+        progress = await self._store.read(table.progress_of, name)
         n_due = await self._store.read(table.n_due, progress.after, endpoint.events)
         return EndpointStatus(endpoint=endpoint, progress=progress, n_due=n_due)
 
     async def statuses(self) -> list[EndpointStatus]:
         """Return the status of all endpoints."""
-        return [await self._status_of(endpoint) for endpoint in self._endpoints.values()]
+        return [await self.status(name) for name in self._endpoints]
 
     async def enable(self, name: str, who: str) -> None:
         """Try an endpoint again at once, whether it was disabled or waits."""
@@ -163,7 +161,7 @@ class Webhooks:
 
         Raises
         ------
-        EventCursorError
+        CursorError
             They are not there yet, or no longer.
         """
         await self._store.write(table.replay, name, after, who)
@@ -216,16 +214,17 @@ class Webhooks:
         if (pause_s := before.pause_s(self._now())) > 0:
             await self._wait(told.wake, pause_s)
             return
-        due = await self._store.read(table.next_due, told.looked_to, endpoint.events)
+        due = await self._store.read(events_after, told.looked_to, 1, endpoint.events)
         if told.looked_to + 1 < due.first_seq and before.attempts == 0:
             log.error("webhook %s: events before %d are no longer kept", endpoint.name, due.first_seq)
-        if due.event is None:
+        if not due.items:
             told.looked_to = due.last_seq
             await told.wake.wait()
             return
-        message = message_of(due.event, self._store.instance_id)
+        (event,) = due.items
+        message = message_of(event, self._store.instance_id)
         answer, delivery = await self._send(endpoint, told, message, attempt=before.attempts + 1)
-        after = next_progress(before, due.event["seq"], answer, self._now(), self._chance())
+        after = next_progress(before, event["seq"], answer, self._now(), self._chance())
         if after.disabled_at is not None:
             log.error("webhook %s is disabled: %s", endpoint.name, answer.problem)
         elif after.attempts == 1:
@@ -240,11 +239,11 @@ class Webhooks:
         now = self._now()
         try:
             headers = await asyncio.to_thread(_signed, endpoint, message, int(now.timestamp()))
-            tls = await _tls_of(endpoint, told)
+            told.tls = told.tls or await asyncio.to_thread(endpoint.tls)
         except ValueError as err:  # of a secret or a certificate
             answer = EndpointAnswer(problem=str(err))
         else:
-            answer = await post(endpoint, self._settings, message.body, headers, tls)
+            answer = await post(endpoint, self._settings, message.body, headers, told.tls)
         delivery = Attempt(
             at=rfc3339(now),
             webhook_id=message.id,
@@ -264,13 +263,6 @@ def _trouble(progress: EndpointProgress, now: datetime) -> str | None:
     if progress.is_failing(now):
         return f"takes nothing since {progress.failing_since}: {progress.last_problem}"
     return None
-
-
-async def _tls_of(endpoint: WebhookEndpoint, told: _Told) -> ssl.SSLContext | None:
-    """Return the TLS context of an endpoint, read once."""
-    if told.tls is None and endpoint.target.scheme == "https":
-        told.tls = await asyncio.to_thread(endpoint.tls)
-    return told.tls
 
 
 def _signed(endpoint: WebhookEndpoint, message: Message, timestamp_s: int) -> dict[str, str]:

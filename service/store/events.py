@@ -2,12 +2,14 @@
 
 import json
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from http import HTTPStatus
 from typing import Any
 
 from drivers.files.times import utc_now
+from service.base.errors import ProblemError, ProblemKind
 from service.base.schema import ANSWER, Time
 
 NEW_HISTORY_STEP = 1_000_000
@@ -64,6 +66,19 @@ class HistoryPage:
     items: list[dict[str, Any]]
 
 
+class CursorError(ProblemError):
+    """A feed does not reach that far, or no longer has what follows; names its first and its last number."""
+
+    kinds = (
+        ProblemKind("cursor-ahead", HTTPStatus.CONFLICT, "The cursor is ahead of the history"),
+        ProblemKind("cursor-expired", HTTPStatus.GONE, "The cursor is older than the oldest result kept"),
+    )
+
+    def __init__(self, problem: str, after: int, first_seq: int, last_seq: int) -> None:
+        kind = "cursor-ahead" if after > last_seq else "cursor-expired"
+        super().__init__(problem, kind, first_seq=first_seq, last_seq=last_seq)
+
+
 def note_event(connection: sqlite3.Connection, event: NewEvent) -> int:
     """Number an event within the transaction that makes it true, and return the number."""
     (number,) = connection.execute(
@@ -84,12 +99,15 @@ def event_ends(connection: sqlite3.Connection) -> tuple[int, int]:
     return first_seq, last_seq
 
 
-def events_after(connection: sqlite3.Connection, after: int, limit: int) -> HistoryPage:
-    """Return up to `limit` events after a number, in order."""
+def events_after(
+    connection: sqlite3.Connection, after: int, limit: int, types: Sequence[EventType] | None = None
+) -> HistoryPage:
+    """Return up to `limit` events after a number, of some types or of all, in order."""
     first_seq, last_seq = event_ends(connection)
     rows = connection.execute(
-        "SELECT seq, at, type, subject, data FROM events WHERE seq > ? ORDER BY seq LIMIT ?",
-        (after, limit),
+        "SELECT seq, at, type, subject, data FROM events WHERE seq > ?1"
+        " AND (?2 IS NULL OR type IN (SELECT value FROM json_each(?2))) ORDER BY seq LIMIT ?3",
+        (after, types and json.dumps(types), limit),
     )
     items = [
         {"seq": number, "at": at, "type": kind, "subject": subject, "data": json.loads(data)}

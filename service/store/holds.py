@@ -2,22 +2,13 @@
 
 import sqlite3
 from dataclasses import asdict, dataclass
-from typing import Any
 
 from drivers.files.times import utc_now
-from service.base.errors import ServiceError, TooManyError
+from service.base.errors import TooManyError
 from service.store import audit
+from service.store.events import CursorError
 
 MAX_CONSUMERS = 100
-
-
-class CursorError(ServiceError):
-    """The feed does not have the place where a cursor is to be parked; `ends` are its first and its last number."""
-
-    def __init__(self, after: int, first_seq: int, last_seq: int) -> None:
-        super().__init__(f"results {first_seq} to {last_seq} are kept: a cursor cannot be at {after}")
-        self.is_ahead = after > last_seq
-        self.ends: dict[str, Any] = {"first_seq": first_seq, "last_seq": last_seq}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +54,8 @@ def park(connection: sqlite3.Connection, name: str, after: int) -> Consumer:
     """
     first_seq, last_seq = connection.execute("SELECT first_seq, last_seq FROM store").fetchone()
     if not first_seq - 1 <= after <= last_seq:
-        raise CursorError(after, first_seq, last_seq)
+        problem = f"results {first_seq} to {last_seq} are kept: a cursor cannot be at {after}"
+        raise CursorError(problem, after, first_seq, last_seq)
     connection.execute("INSERT OR REPLACE INTO consumers VALUES (?, ?, ?)", (name, after, utc_now()))
     (n,) = connection.execute("SELECT count(*) FROM consumers").fetchone()
     if n > MAX_CONSUMERS:

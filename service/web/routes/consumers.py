@@ -9,12 +9,12 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.base.ids import ID
 from service.base.schema import TIME
-from service.store.holds import Consumer, CursorError, consumers, forget, park
+from service.store.holds import Consumer, consumers, forget, park
 from service.web.auth import OPERABLE, READABLE, Who
 from service.web.context import Context
 from service.web.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unchanged
 from service.web.feeds import MAX_SEQ
-from service.web.problems import Problem, existing, problem_responses
+from service.web.problems import existing, problem_responses
 
 router = APIRouter(prefix="/consumers", tags=["results"])
 
@@ -86,11 +86,7 @@ async def park_cursor(
         return None if found is None else _tag(found)
 
     context.store.require_writable()
-    try:
-        parked = await context.store.write(change_if_match, if_match, version, park, name, cursor.after)
-    except CursorError as err:
-        status, slug = (409, "cursor-ahead") if err.is_ahead else (410, "cursor-expired")
-        raise Problem(status, slug, str(err), **err.ends) from err
+    parked = await context.store.write(change_if_match, if_match, version, park, name, cursor.after)
     response.headers["ETag"] = _tag(parked)
     return asdict(parked)
 

@@ -109,7 +109,7 @@ async def until_there(folder: Path, *names: str) -> None:
 
 async def until_noted(store: Store) -> None:
     async def is_so() -> bool:
-        return not (await store.read(due_lots)).complete
+        return not any((await store.read(due_lots)).values())
 
     await soon(is_so)
 

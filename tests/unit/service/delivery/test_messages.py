@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 from support.webhook_receiver import KEY, OTHER_KEY, SECRET, is_signed, secret_of
 
-from service.delivery.message import MAX_BYTES, message_of, trial_message
-from service.delivery.signatures import key_of, signatures
+from service.delivery.message import MAX_BYTES, key_of, message_of, signatures, trial_message
 
 GUIDE = Path(__file__).parents[4] / "service" / "web" / "README.md"
 INSTANCE = "141fc8a1-0136-4f71-9b89-bda3f11805d3"

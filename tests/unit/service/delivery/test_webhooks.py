@@ -24,11 +24,11 @@ from support.webhook_receiver import (
 
 from service.delivery import table
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
-from service.delivery.table import EventCursorError, deliveries
+from service.delivery.table import deliveries
 from service.delivery.webhooks import BeingTestedError, Webhooks, open_webhooks
 from service.store import Store
 from service.store.event_log import EventLog
-from service.store.events import EventType, NewEvent
+from service.store.events import CursorError, EventType, NewEvent
 
 ALL = tuple(EventType)
 LOTS = (EventType.LOT_OPENED, EventType.LOT_CLOSED)
@@ -261,7 +261,7 @@ async def test_a_replay_tells_again_under_the_same_ids_and_leads_forward_too(sto
             await receiver.received(6)
             await until_told(webhooks, 4)
             for after in (5, 10**9):
-                with pytest.raises(EventCursorError, match="events 1 to 4 are kept"):
+                with pytest.raises(CursorError, match="events 1 to 4 are kept"):
                     await webhooks.replay("mes", after, "somebody")
             receiver.answer_next(NEVER)
             await happen(store, *3 * [EventType.ALARM_RAISED])
