@@ -23,7 +23,7 @@ from service.health.alarms.rules import load_rules
 from service.host.check import check_host
 from service.host.finding import Finding, HostVerdict, fault, good, judged, unknown
 from service.host.host import ROOT, Host, host_at
-from service.store.lock import is_locked
+from service.store.schema import is_locked
 
 TIMEOUT_S = 5.0
 STYLES = {HostVerdict.GOOD: "green", HostVerdict.FAULT: "bold red", HostVerdict.UNKNOWN: "yellow"}

@@ -24,7 +24,7 @@ from service.base.status import AcquisitionState, AcquisitionTarget
 from service.configuration.settings import Settings, load_settings, problems
 from service.recording.live_recording import EndedBy, LiveRecording
 from service.recording.recordings import require_room
-from service.store.lock import is_locked
+from service.store.schema import is_locked
 
 POLL_S = 0.1
 """Interval at which progress is shown and the end is looked for."""

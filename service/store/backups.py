@@ -8,7 +8,7 @@ import shutil
 import sqlite3
 import time
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,7 +16,6 @@ from drivers.files.durable import replacing, sync
 from service.base.errors import StoreError
 from service.store import audit, history, schema
 from service.store.damage import ALL, find_damage
-from service.store.lock import lock_store
 from service.store.trouble import TroubleCause, trouble_of
 
 STATISTICS = "sqlite_stat"
@@ -39,10 +38,7 @@ def backup_path(state_dir: Path) -> Path:
 def back_up(state_dir: Path, target: Path, go_on: Callable[[], bool] = lambda: True) -> None:
     """Copy the database, as it is at one moment, durably to `target`; a daemon may be writing to it.
 
-    Raises
-    ------
-    StoreError
-        There is no database or no room, it is damaged, or `go_on` returned False.
+    Raises `StoreError` if there is no database or no room, it is damaged, or `go_on` returned False.
     """
     path = state_dir / history.DATABASE
     try:
@@ -77,15 +73,11 @@ def restore(source: Path, state_dir: Path, *, any_audit: bool = False) -> str:
 
     The history begins anew, with a new `instance_id`; the database that was there is moved to `aside`. A copy is not
     trusted: it must have the schema of its version and nothing else, and unless `any_audit` an audit that this store
-    has had, as the digests kept beside its databases tell.
-
-    Raises
-    ------
-    StoreError
-        A daemon is running, the copy is not a database of results, or it was tampered with.
+    has had, as the digests kept beside its databases tell. Raises `StoreError` if a daemon is running, or the copy is
+    not a database of results, or was tampered with.
     """
     state_dir.joinpath(history.PARTICLES).mkdir(parents=True, exist_ok=True)
-    lock = lock_store(state_dir)
+    lock = schema.lock_store(state_dir)
     try:
         return _restore(source, state_dir, any_audit=any_audit)
     except (sqlite3.Error, OSError, ValueError) as err:
@@ -98,14 +90,17 @@ def _restore(source: Path, state_dir: Path, *, any_audit: bool) -> str:
     history.finish_restore(state_dir)  # of an earlier one that was killed
     if not source.is_file():
         raise StoreError(f"{source}: is no file")  # a device would fill the disk
-    with replacing(history.restored_path(state_dir)) as unfinished:
+    with replacing(state_dir / history.RESTORED) as unfinished:
         shutil.copyfile(source, unfinished)
         _require_backup(source, unfinished)
         schema.prepare(unfinished)
         with closing(schema.connect(unfinished)) as connection:
             if not any_audit:
                 _require_own_audit(source, connection, state_dir)
-            beyond = _last_seq(state_dir / history.DATABASE)
+            beyond, database = 0, state_dir / history.DATABASE
+            # but if there is none, or it cannot be read
+            with suppress(sqlite3.Error, TypeError, ValueError), schema.connect_reader(database) as former:
+                beyond = int(former.execute("SELECT last_seq FROM store").fetchone()[0])
             _, highest = history.renumber(
                 connection, state_dir, "backup restored", source.name, beyond=beyond
             )
@@ -171,12 +166,3 @@ def _require_own_audit(source: Path, connection: sqlite3.Connection, state_dir: 
             f"{source}: was tampered with, or is of another store: entry {max(filter(None, broken_at))} of its audit is"
             " not in this store's; with --any-audit it is restored all the same"
         )
-
-
-def _last_seq(path: Path) -> int:
-    """Return the number of the newest result of a database, 0 if there is none or it cannot be read."""
-    try:
-        with schema.connect_reader(path) as connection:
-            return int(connection.execute("SELECT last_seq FROM store").fetchone()[0])
-    except (sqlite3.Error, TypeError, ValueError):
-        return 0

@@ -28,24 +28,9 @@ MAX_NUMBER = 2**53
 MAX_FORMAT = 2
 """Newest version of the file format, as its header tells it (bytes 18 and 19): 2 is WAL."""
 DOCUMENTS = frozenset(
-    {
-        ("alarms", "document"),
-        ("answers", "headers"),
-        ("audit", "after"),
-        ("audit", "before"),
-        ("correlations", "document"),
-        ("events", "data"),
-        ("lots", "definition"),
-        ("products", "definition"),
-        ("results", "record"),
-        ("revisions", "record"),
-        ("sessions", "info"),
-        ("sievings", "document"),
-        ("webhook_deliveries", "document"),
-        ("webhooks", "progress"),
-    }
+    {"after", "before", "data", "definition", "document", "headers", "info", "progress", "record"}
 )
-"""Tables and columns that hold JSON objects."""
+"""Columns that hold JSON objects, in whatever table."""
 MAX_DETAIL = 200
 """Longest description of damage, in characters; SQLite and Python may quote a whole record."""
 
@@ -55,22 +40,20 @@ def find_damage(
 ) -> str | None:
     """Return the damage found in a database, None if there is none as far as it may `go_on`.
 
-    Raises
-    ------
-    sqlite3.Error, OSError
-        It cannot be read now.
+    Raises `sqlite3.Error` or `OSError` if it cannot be read now.
     """
     if not path.is_file():
         return "it is no file"  # opened all the same, a pipe would wait for a writer
     try:
         with schema.connect_reader(path) as connection:
             connection.set_progress_handler(lambda: not go_on(), 10_000)
-            return (
-                _header_damage(path)
-                or _schema_damage(connection)
-                or _record_damage(connection, n_newest)
-                or _page_damage(connection)
+            damage = (
+                _header_damage(path) or _schema_damage(connection) or _record_damage(connection, n_newest)
             )
+            if damage is not None:
+                return damage
+            (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
+            return None if found == "ok" else _short(str(found))
     except MemoryError:  # of this machine
         raise
     except Exception as err:  # whatever a damaged database makes of the check
@@ -116,8 +99,7 @@ def _record_damage(connection: sqlite3.Connection, n_newest: int) -> str | None:
         return None  # before the first schema
     for table in tables:
         rows = connection.execute(f"SELECT * FROM {table} ORDER BY rowid DESC LIMIT ?", (n_newest,))  # noqa: S608 - our own names
-        columns = [name for name, *_ in rows.description]
-        documents = [columns.index(name) for owner, name in DOCUMENTS if owner == table and name in columns]
+        documents = [at for at, (name, *_) in enumerate(rows.description) if name in DOCUMENTS]
         for row in rows:
             if not all(row[at] is None or isinstance(json.loads(row[at]), dict) for at in documents):
                 return f"a record of {table} is damaged"
@@ -137,11 +119,6 @@ def _record_damage(connection: sqlite3.Connection, n_newest: int) -> str | None:
     for (captured_at,) in connection.execute("SELECT captured_at FROM triggers WHERE state = 'open'"):
         rfc3339(captured_at)
     return None
-
-
-def _page_damage(connection: sqlite3.Connection) -> str | None:
-    (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
-    return None if found == "ok" else _short(str(found))
 
 
 def _short(detail: str) -> str:

@@ -25,14 +25,11 @@ from service.store.particle_files import particle_id, path_of
 
 log = logging.getLogger(__name__)
 
-DATABASE, PARTICLES, BACKUPS, ASIDE, ACKNOWLEDGED, NOTE = (
-    "results.sqlite",
-    "particles",
-    "backups",
-    "aside",
-    "acknowledged",
-    "note.txt",
-)
+DATABASE, PARTICLES, BACKUPS, ASIDE = "results.sqlite", "particles", "backups", "aside"
+RESTORED = f"{DATABASE}.restored"
+"""Copy that is completed to take the place of the database."""
+ACKNOWLEDGED, NOTE = "acknowledged", "note.txt"
+DAY = re.compile(r"\d{4}-\d\d-\d\d")
 MET = "damage-met"
 """File that says that the last daemon has met damage of the database."""
 RESTORING = "restoring"
@@ -47,29 +44,27 @@ NEWEST_DAYS = 3
 def open_history(state_dir: Path) -> None:
     """Create the database, or check it and begin the history anew in doubt; the caller has the store locked.
 
-    Raises
-    ------
-    StoreError
-        The database is of a newer schema.
-    sqlite3.Error, OSError
-        It cannot be read or written now.
+    Raises `StoreError` for a newer schema, `sqlite3.Error` or `OSError` if it cannot be read or written now.
     """
     path = state_dir / DATABASE
     finish_restore(state_dir)
     folder: Path | None = None
     is_new = not path.exists()
-    damage = _damage_at_start(state_dir) if path.exists() else None
-    if damage is not None:
-        folder = aside_folder(state_dir, "damaged")
-        explain(folder, f"The database was damaged ({damage}) and was moved here. {_offer(state_dir)}")
+    moved = None
+    if not is_new and (damage := _damage_at_start(state_dir)) is not None:
+        moved = f"The database was damaged ({damage}) and was moved here."
     elif is_new and path.with_name(f"{DATABASE}-wal").exists():  # of one that was removed, or half moved away
+        moved = "The WAL of a database that is gone was moved here."
+    if moved is not None:
         folder = aside_folder(state_dir, "damaged")
-        explain(folder, f"The WAL of a database that is gone was moved here. {_offer(state_dir)}")
-    if folder is not None:
+        explain(folder, f"{moved} {_offer(state_dir)}")
         move_database(path, folder)
         is_new = True
     (state_dir / MET).unlink(missing_ok=True)
-    is_audit_known = not path.exists() or _has_audit(path, state_dir)
+    known, is_audit_known = audit.kept_digests(state_dir), False
+    if not is_new:
+        with schema.connect_reader(path) as reader:
+            is_audit_known = audit.has_kept(reader, known)
     schema.prepare(path)
     with closing(schema.connect(path)) as connection:
         if loss := _find_loss(connection, state_dir, is_new=is_new):
@@ -79,25 +74,18 @@ def open_history(state_dir: Path) -> None:
             acknowledge(state_dir, instance_id, highest)
             explain(folder, f"{loss} The feed goes on after {highest}, with a new instance_id.")
             _move_strays(connection, state_dir, folder)
-        if not audit.has_kept(connection, known := audit.kept_digests(state_dir)):
-            if not is_audit_known or is_new:
-                folder = folder or aside_folder(state_dir, "audit")
-                explain(
-                    folder,
-                    f"The audit of the database lacks some of the {len(known)} entries whose digests are here.",
-                )
-                (state_dir / audit.DIGESTS).rename(folder / audit.DIGESTS)
-            else:  # a migration made it anew
+        n_kept = len(known)
+        if not audit.has_kept(connection, known):
+            n_kept = 0
+            if is_audit_known:  # a migration made it anew
                 (state_dir / audit.DIGESTS).unlink()
-        audit.keep_digests(connection, state_dir, len(audit.kept_digests(state_dir)))
+            else:
+                folder = folder or aside_folder(state_dir, "audit")
+                lacking = f"lacks some of the {len(known)} entries whose digests are here."
+                explain(folder, f"The audit of the database {lacking}")
+                (state_dir / audit.DIGESTS).rename(folder / audit.DIGESTS)
+        audit.keep_digests(connection, state_dir, n_kept)
         _drop_unfinished(connection, state_dir)
-
-
-def _has_audit(path: Path, state_dir: Path) -> bool:
-    """True when the database has the audit whose digests are kept beside it."""
-    known = audit.kept_digests(state_dir)
-    with schema.connect_reader(path) as connection:
-        return audit.has_kept(connection, known)
 
 
 def note_damage(state_dir: Path, detail: str) -> None:
@@ -141,8 +129,7 @@ def renumber(
 ) -> tuple[str, int]:
     """Give the history a new identity and numbers beyond all that were seen, as the audit says; return both."""
     (last_seq,) = connection.execute("SELECT last_seq FROM store").fetchone()
-    in_folders = max((seq for _, seq in particle_folders(state_dir)), default=0)
-    highest = max(last_seq, acknowledged(state_dir)[1], in_folders, beyond)
+    highest = max(last_seq, acknowledged(state_dir)[1], _highest_in_folders(state_dir), beyond)
     instance_id = schema.new_instance()
     known = audit.kept_digests(state_dir)
     chain = audit.check_chain(connection)
@@ -159,8 +146,9 @@ def renumber(
 
 def _move_strays(connection: sqlite3.Connection, state_dir: Path, folder: Path) -> None:
     """Move the folders of particles that have no result."""
-    strays = [path for path, _ in particle_folders(state_dir) if not _has_result(connection, path.name)]
-    move_particles(strays, folder)
+    ids = "SELECT 1 FROM results WHERE id = ?"
+    folders = (path for path, _ in particle_folders(state_dir))
+    move_particles([path for path in folders if not connection.execute(ids, (path.name,)).fetchone()], folder)
 
 
 def switch_later(state_dir: Path, why: str) -> None:
@@ -172,14 +160,10 @@ def finish_restore(state_dir: Path) -> tuple[Path, int] | None:
     """Put the copy of a noted restore in the place of the database, then move the folders of particles to fit it.
 
     Each step can be repeated after a kill. Returns where the former database is, and how many folders were taken back;
-    None if no restore was noted, when the copy of one that was killed before is removed.
-
-    Raises
-    ------
-    sqlite3.Error, OSError
-        The disk refuses.
+    None if no restore was noted, when the copy of one that was killed before is removed. Raises `sqlite3.Error` or
+    `OSError` if the disk refuses.
     """
-    path, copy, noted = state_dir / DATABASE, restored_path(state_dir), state_dir / RESTORING
+    path, copy, noted = state_dir / DATABASE, state_dir / RESTORED, state_dir / RESTORING
     if not noted.exists():
         for left in (*state_dir.glob(f"{copy.name}*"), *state_dir.glob(f"{noted.name}*")):
             left.unlink()
@@ -200,11 +184,6 @@ def finish_restore(state_dir: Path) -> tuple[Path, int] | None:
     noted.unlink()
     sync(state_dir)
     return folder, n_back
-
-
-def restored_path(state_dir: Path) -> Path:
-    """Return where a copy is completed that is to take the place of the database."""
-    return state_dir / f"{DATABASE}.restored"
 
 
 def move_particles(paths: Sequence[Path], folder: Path) -> None:
@@ -273,9 +252,7 @@ def acknowledge(state_dir: Path, instance_id: str, seq: int) -> None:
     """Note beside the database up to which number results are acknowledged; not flushed, so it may be behind."""
     descriptor = os.open(state_dir / ACKNOWLEDGED, os.O_WRONLY | os.O_CREAT, 0o640)
     try:
-        os.pwrite(
-            descriptor, f"{instance_id} {seq:016d}\n".encode(), 0
-        )  # of one length, written over in place
+        os.pwrite(descriptor, f"{instance_id} {seq:016d}\n".encode(), 0)  # of one length, in place
     finally:
         os.close(descriptor)
 
@@ -294,8 +271,7 @@ def _find_loss(connection: sqlite3.Connection, state_dir: Path, *, is_new: bool)
     instance_id, last_seq = connection.execute("SELECT instance_id, last_seq FROM store").fetchone()
     noted_id, noted_seq = acknowledged(state_dir)
     if is_new:
-        in_folders = max((seq for _, seq in particle_folders(state_dir)), default=0)
-        seen = max(noted_seq, in_folders)
+        seen = max(noted_seq, _highest_in_folders(state_dir))
         return f"There were results up to {seen} without a database." if seen else None
     if noted_id not in (None, instance_id):
         return f"The database is of another history than the results acknowledged up to {noted_seq}."
@@ -308,33 +284,20 @@ def _find_loss(connection: sqlite3.Connection, state_dir: Path, *, is_new: bool)
     return None
 
 
-def _has_result(connection: sqlite3.Connection, name: str) -> bool:
-    return connection.execute("SELECT 1 FROM results WHERE id = ?", (name,)).fetchone() is not None
+def _highest_in_folders(state_dir: Path) -> int:
+    return max((seq for _, seq in particle_folders(state_dir)), default=0)
 
 
 def particle_folders(state_dir: Path, newest_days: int | None = None) -> Iterator[tuple[Path, int]]:
     """Yield the folders of particles, each with its number: side by side as once, and those of the (newest) days."""
-    days = []
-    with os.scandir(state_dir / PARTICLES) as entries:
-        for entry in entries:
-            if _is_day(entry.name):
-                days.append(Path(entry.path))
-            elif (seq := _seq_of(entry.name)) is not None:
-                yield Path(entry.path), seq
-    for day in sorted(days, reverse=True)[:newest_days]:
-        with suppress(FileNotFoundError), os.scandir(day) as entries:  # retention removed the last of it
-            for entry in entries:
-                if (seq := _seq_of(entry.name)) is not None:
-                    yield Path(entry.path), seq
-
-
-def _is_day(name: str) -> bool:
-    return re.fullmatch(r"\d{4}-\d\d-\d\d", name) is not None
-
-
-def _seq_of(name: str) -> int | None:
-    number = name.rpartition("-")[2]
-    return int(number) if number.isdigit() else None
+    particles_dir = state_dir / PARTICLES
+    days = sorted((path for path in particles_dir.iterdir() if DAY.fullmatch(path.name)), reverse=True)
+    for folder in (particles_dir, *days[:newest_days]):
+        with suppress(FileNotFoundError):  # retention removed the last of it
+            for path in folder.iterdir():
+                number = path.name.rpartition("-")[2]
+                if number.isdigit() and not DAY.fullmatch(path.name):
+                    yield path, int(number)
 
 
 def _drop_unfinished(connection: sqlite3.Connection, state_dir: Path) -> None:

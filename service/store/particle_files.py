@@ -46,10 +46,7 @@ def is_folder(folder: str) -> bool:
 def path_of(particles_dir: Path, folder: str) -> Path:
     """Return where a folder is that the database names.
 
-    Raises
-    ------
-    StoreError
-        It would be elsewhere: the database was tampered with, or is damaged.
+    Raises `StoreError` if it would be elsewhere: the database was tampered with, or is damaged.
     """
     if not is_folder(folder):
         raise StoreError(f"{folder!r} is no folder of a particle: nothing there is read, written or removed")

@@ -1,9 +1,12 @@
-"""Open the database file, and migrate an older one to today's schema.
+"""Lock the folder of a store, open its database file, and migrate an older one to today's schema.
 
-Migrations are the numbered SQL files beside this module; `PRAGMA user_version` is the number of the last
-one applied. A database with a newer schema is refused.
+The lock is on the folder itself, because a file in it can be deleted while a daemon runs. Migrations are the numbered
+SQL files beside this module; `PRAGMA user_version` is the number of the last one applied. A database with a newer
+schema is refused.
 """
 
+import fcntl
+import os
 import sqlite3
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,6 +28,30 @@ STEPS: Mapping[str, Callable[[sqlite3.Connection], None]] = {
 """What a migration does after its script, in the same transaction."""
 P = ParamSpec("P")
 T = TypeVar("T")
+
+
+def lock_store(state_dir: Path) -> int:
+    """Lock the folder for this process and return the descriptor to close at the end; raise `StoreError` if it is."""
+    descriptor = os.open(state_dir, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as err:
+        os.close(descriptor)
+        raise StoreError(
+            f"{state_dir}: another process has the store open: stop it, or choose another store.dir"
+        ) from err
+    return descriptor
+
+
+def is_locked(state_dir: Path) -> bool:
+    """True while a process has the store open; False when there is no such folder."""
+    try:
+        os.close(lock_store(state_dir))
+    except StoreError:
+        return True
+    except OSError:
+        pass
+    return False
 
 
 def prepare(path: Path) -> None:
@@ -71,10 +98,7 @@ def read(
 ) -> T:
     """Return `query(connection, ...)` on a read-only connection of its own; blocks, in any process.
 
-    Raises
-    ------
-    StoreError
-        The database cannot be read, or is damaged.
+    Raises `StoreError` if the database cannot be read, or is damaged.
     """
     try:
         with connect_reader(path) as connection:

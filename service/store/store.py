@@ -20,9 +20,8 @@ from pipeline.frames import GateCount, Trigger
 from service.base.errors import StoreError
 from service.results.fields import LossReason
 from service.store import audit, backups, history, reads, writes
-from service.store.lock import lock_store
 from service.store.particle_files import RAW, drop_raw, drop_sources, path_of
-from service.store.schema import connect_reader, read, transaction
+from service.store.schema import connect_reader, lock_store, read, transaction
 from service.store.trouble import StoreTrouble, TroubleCause, trouble_of
 from service.store.writer import StoreWriter
 

@@ -21,10 +21,7 @@ CHUNK, PAUSE_S = 500, 0.05
 def sweep(state_dir: Path, go_on: Callable[[], bool]) -> None:
     """Look through all folders as long as it may `go_on`; blocks.
 
-    Raises
-    ------
-    StoreError, OSError
-        The database cannot be read, or a folder cannot be moved.
+    Raises `StoreError` or `OSError` if the database cannot be read, or a folder cannot be moved.
     """
     folders = history.particle_folders(state_dir)
     strays: list[Path] = []
@@ -36,11 +33,9 @@ def sweep(state_dir: Path, go_on: Callable[[], bool]) -> None:
         time.sleep(PAUSE_S)
     if strays:
         history.move_particles(strays, history.aside_folder(state_dir, "strays"))
-    today = max(state_dir.glob(f"{history.PARTICLES}/????-??-??"), default=None)
-    for day in state_dir.glob(f"{history.PARTICLES}/????-??-??"):
-        if day != today:
-            with suppress(OSError):  # it is not empty
-                day.rmdir()
+    for day in sorted(state_dir.glob(f"{history.PARTICLES}/????-??-??"))[:-1]:  # but today's
+        with suppress(OSError):  # it is not empty
+            day.rmdir()
 
 
 def _unnamed(
@@ -50,12 +45,10 @@ def _unnamed(
     (last_seq,) = connection.execute("SELECT last_seq FROM store").fetchone()
     removed, unknown = [], []
     for path, seq in folders:
+        folder = path.name if path.parent.name == history.PARTICLES else f"{path.parent.name}/{path.name}"
         row = connection.execute(
             "SELECT bytes IS NULL FROM results JOIN files USING (seq) WHERE id = ? AND folder = ?",
-            (
-                path.name,
-                path.name if path.parent.name == history.PARTICLES else f"{path.parent.name}/{path.name}",
-            ),
+            (path.name, folder),
         ).fetchone()
         if row is None and seq <= last_seq:
             unknown.append(path)

@@ -22,7 +22,7 @@ from drivers.replay.camera import ReplayCamera
 from pipeline.frames import BundleKind, FrameBundle
 from service.base.errors import ServiceError
 from service.commands import record
-from service.store.lock import lock_store
+from service.store.schema import lock_store
 
 BUNDLES = [
     make_bundle(0, kind=BundleKind.BACKGROUND, name="empty"),
