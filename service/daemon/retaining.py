@@ -19,8 +19,7 @@ from service.base.status import Checks
 from service.recording.live_recording import RecordingState
 from service.recording.recordings import Recordings
 from service.store import Store
-from service.store.checks import retention_checks
-from service.store.disk_use import RetentionFacts, store_use
+from service.store.checks import RetentionFacts, retention_checks, store_use
 from service.store.holds import consumers
 from service.store.particle_files import path_of
 from service.store.retention import (

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from service.base.status import AcquisitionStatus, CalibrationFacts, CameraStatus, Health
 from service.health.refinement_watch import RefinementTrend
-from service.store.disk_use import RetentionFacts
+from service.store.checks import RetentionFacts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

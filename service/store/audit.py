@@ -12,7 +12,7 @@ import os
 import re
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,6 @@ CONFIGURATION = "configuration"
 """Action of the entries about the file of settings, whose URLs earlier versions kept to the end."""
 PAGE = 1000
 """Entries that are read at a time while all are rewritten."""
-COLUMNS = ("entry", "at", "who", "action", "subject", "before", "after", "digest")
 DIGESTS = "audit-digests"
 """File beside the database: the digest of each entry, a line each, in their order."""
 LINE = re.compile(rb"([0-9a-f]{64})\n")
@@ -61,6 +60,9 @@ class AuditEntry:
     earlier versions."""
 
 
+COLUMNS = tuple(field.name for field in fields(AuditEntry))
+
+
 @dataclass(frozen=True, slots=True)
 class Chain:
     """State of the chain of digests over all entries."""
@@ -80,12 +82,12 @@ def note(
     after: Mapping[str, Any] | None = None,
 ) -> None:
     """Note a change within the transaction that makes it, or alone if it was made elsewhere."""
-    last, digest = _end_of_chain(connection)
+    newest = connection.execute("SELECT entry, digest FROM audit ORDER BY entry DESC LIMIT 1").fetchone()
+    last, digest = newest or (0, "")
+    if digest is None:  # entries of earlier versions get theirs only now
+        digest = check_chain(connection).digest
     row = (last + 1, utc_now(), who, action, subject, _text(before), _text(after))
-    connection.execute(
-        "INSERT INTO audit (entry, at, who, action, subject, before, after, digest) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-        (*row, next_digest(digest, row)),
-    )
+    connection.execute("INSERT INTO audit VALUES (?, ?, ?, ?, ?, ?, ?, ?)", (*row, next_digest(digest, row)))
 
 
 def next_digest(digest: str, row: tuple[object, ...]) -> str:
@@ -125,13 +127,8 @@ def keep_digests(connection: sqlite3.Connection, folder: Path, n_kept: int) -> i
 def has_kept(connection: sqlite3.Connection, kept: Sequence[str], n_newest: int = N_NEWEST) -> bool:
     """True when the audit has the newest of these entries, each with its digest."""
     first = max(len(kept) - n_newest, 0)
-    if not kept:
-        return True
-    found = dict(
-        connection.execute(
-            "SELECT entry, digest FROM audit WHERE entry BETWEEN ? AND ?", (first + 1, len(kept))
-        )
-    )
+    newest = "SELECT entry, digest FROM audit WHERE entry BETWEEN ? AND ?"
+    found = dict(connection.execute(newest, (first + 1, len(kept)))) if kept else {}
     return all(digest in ("", found.get(entry)) for entry, digest in enumerate(kept[first:], first + 1))
 
 
@@ -185,18 +182,10 @@ def redact_configurations(connection: sqlite3.Connection) -> None:
 
 def entries(connection: sqlite3.Connection, subject: str | None, after: int, limit: int) -> list[AuditEntry]:
     """Return up to `limit` entries after a number, of one subject or of all, in their order."""
+    rows = [dict(zip(COLUMNS, row, strict=True)) for row in _rows(connection, subject, after, limit)]
     return [
-        AuditEntry(
-            entry=entry,
-            at=at,
-            who=who,
-            action=action,
-            subject=about,
-            before=before and json.loads(before),
-            after=changed and json.loads(changed),
-            digest=digest,
-        )
-        for entry, at, who, action, about, before, changed, digest in _rows(connection, subject, after, limit)
+        AuditEntry(**row | {name: row[name] and json.loads(row[name]) for name in ("before", "after")})
+        for row in rows
     ]
 
 
@@ -221,15 +210,6 @@ def _rows(
         f"SELECT {', '.join(COLUMNS)} FROM audit WHERE entry > ?{condition} ORDER BY entry LIMIT ?",  # noqa: S608
         (after, *given, limit),
     )
-
-
-def _end_of_chain(connection: sqlite3.Connection) -> tuple[int, str]:
-    """Return number and digest of the last entry; entries of earlier versions get theirs only now."""
-    row = connection.execute("SELECT entry, digest FROM audit ORDER BY entry DESC LIMIT 1").fetchone()
-    if row is None:
-        return 0, ""
-    last, digest = row
-    return last, check_chain(connection).digest if digest is None else digest
 
 
 def _text(facts: Mapping[str, Any] | None) -> str | None:

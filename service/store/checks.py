@@ -1,26 +1,47 @@
-"""Health of the store: can it be written, how long does its disk suffice, was something removed unread."""
+"""Health of the store: is it written, how long does its disk suffice, was something removed unread."""
 
 import shutil
+import sqlite3
 from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 
+from pipeline.frames import rfc3339
 from service.base.status import Checks, CheckStatus, HealthCheck, trouble_check
-from service.store.disk_use import RetentionFacts
+from service.store.retention import Disk, RetentionLimits
 from service.store.store import Store
+from service.store.trouble import StoreTrouble
 
 LOW_DISK_BYTES = 1 << 30
 """Free space on the store's file system below which health warns; below a tenth of it, the check fails."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoreUse:
+    """Use of the disk by the store."""
+
+    files_bytes: int
+    results_bytes: int
+    days_left: float | None
+    """Days until the free space is used up at the rate of the last day; None if that is unknown, or it never is."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RetentionFacts:
+    """Facts about retention for health; nothing is known before the first look."""
+
+    use: StoreUse | None = None
+    recordings_bytes: int = 0
+    warn_days: float
+    overrun: tuple[str, ...] = ()  # consumers whose unread results were removed
+    trouble: str | None = None  # why nothing can be removed
+
+
 def store_checks(store: Store, n_waiting: int) -> Checks:
     """Return the checks of a store that `n_waiting` stones wait for, and of its disk."""
     return {
-        "store": store_check(
-            None if store.trouble is None else str(store.trouble),
-            store.incidents,
-            last_seq=store.last_seq,
-            n_waiting=n_waiting,
-        ),
+        "store": store_check(store.trouble, store.incidents, last_seq=store.last_seq, n_waiting=n_waiting),
         "disk": disk_check(free_bytes(store.dir)),
     }
 
@@ -34,7 +55,7 @@ def free_bytes(folder: Path) -> int | None:
 
 
 def store_check(
-    trouble: str | None, incidents: Sequence[str], *, last_seq: int, n_waiting: int
+    trouble: StoreTrouble | None, incidents: Sequence[str], *, last_seq: int, n_waiting: int
 ) -> HealthCheck:
     """Check that results can be written, and that nothing was moved aside at a start."""
     held = [] if trouble is None else [f"{trouble}; {n_waiting} stones wait for it"]
@@ -62,36 +83,72 @@ def disk_check(free_bytes: int | None) -> HealthCheck:
 
 
 def retention_checks(kept: RetentionFacts) -> Checks:
-    """Return the checks of the space that the store takes, and of what was removed."""
-    return {"disk_days": _disk_days(kept), "retention": _retention(kept)}
-
-
-def _disk_days(kept: RetentionFacts) -> HealthCheck:
-    """Check for how many days like the last one the disk suffices; nothing is observed while that is unknown."""
-    if (use := kept.use) is None:
-        return HealthCheck(status=CheckStatus.PASS)
-    days_left = use.days_left
-    is_short = days_left is not None and days_left < kept.warn_days
-    detail = (
-        f"meshes and silhouettes take {use.files_bytes / 1e9:.1f} GB, results {use.results_bytes / 1e9:.1f} GB,"
-        f" recordings {kept.recordings_bytes / 1e9:.1f} GB"
-    )
-    if is_short:
-        detail += "; then the oldest files are removed: make room, or set limits in [store.retention]"
-    return HealthCheck(
-        status=CheckStatus.of(warn=is_short),
-        observed_value=None if days_left is None else round(days_left, 1),
-        observed_unit="days",
-        detail=detail,
-    )
-
-
-def _retention(kept: RetentionFacts) -> HealthCheck:
-    """Check that nothing was removed before its consumer had read it, and that what is due can be removed."""
+    """Return the checks of the days for which the disk suffices, unknown at first, and of what was removed."""
     problems = [] if kept.trouble is None else [kept.trouble]
     if kept.overrun:
         problems.append(
             f"results were removed that {', '.join(kept.overrun)} had not read:"
             " look at that consumer, or delete it (/consumers)"
         )
-    return trouble_check("; ".join(problems) or None)
+    disk_days = HealthCheck(status=CheckStatus.PASS)
+    if (use := kept.use) is not None:
+        is_short = use.days_left is not None and use.days_left < kept.warn_days
+        detail = (
+            f"meshes and silhouettes take {use.files_bytes / 1e9:.1f} GB, results {use.results_bytes / 1e9:.1f} GB,"
+            f" recordings {kept.recordings_bytes / 1e9:.1f} GB"
+        )
+        if is_short:
+            detail += "; then the oldest files are removed: make room, or set limits in [store.retention]"
+        disk_days = HealthCheck(
+            status=CheckStatus.of(warn=is_short),
+            observed_value=None if use.days_left is None else round(use.days_left, 1),
+            observed_unit="days",
+            detail=detail,
+        )
+    return {"disk_days": disk_days, "retention": trouble_check("; ".join(problems) or None)}
+
+
+def store_use(connection: sqlite3.Connection, limits: RetentionLimits, disk: Disk, now: datetime) -> StoreUse:
+    """Return the space that the store takes, and the days for which the disk suffices at the rate of the last one."""
+    first_seq, last_seq, files_bytes = connection.execute(
+        "SELECT first_seq, last_seq, files_bytes FROM store"
+    ).fetchone()
+    page_bytes, n_pages, n_free = (
+        connection.execute(f"PRAGMA {name}").fetchone()[0]
+        for name in ("page_size", "page_count", "freelist_count")
+    )
+    results_bytes = page_bytes * (n_pages - n_free)
+    n, oldest, first_recent = connection.execute(
+        "SELECT count(*), min(captured_at), min(seq) FROM listed WHERE captured_at BETWEEN ? AND ?",
+        (rfc3339(now - timedelta(days=1)), rfc3339(now)),
+    ).fetchone()
+    days_left = None
+    if n and (days := (now - datetime.fromisoformat(oldest)) / timedelta(days=1)) >= 1 / 24:
+        (recent_bytes,) = connection.execute(
+            "SELECT coalesce(avg(bytes), 0) * count(*) FROM files WHERE seq >= ?", (first_recent,)
+        ).fetchone()
+        row_bytes = results_bytes / (last_seq - first_seq + 1)
+        most_bytes = [limits.max_files_gb * 1e9, limits.files_age_days * recent_bytes / days]
+        most_files_bytes = min((most for most in most_bytes if most), default=float("inf"))
+        most_results_bytes = limits.results_days * n / days * row_bytes or float("inf")
+        growths = [
+            (recent_bytes / days, most_files_bytes - files_bytes),
+            (n / days * row_bytes, most_results_bytes - results_bytes),
+        ]
+        days_left = days_until_full(disk.spare_bytes(limits), growths)
+    return StoreUse(files_bytes=files_bytes, results_bytes=results_bytes, days_left=days_left)
+
+
+def days_until_full(spare_bytes: float, growths: Sequence[tuple[float, float]]) -> float | None:
+    """Return when the space is used up, None if never; each growth has bytes a day, and bytes after which it ends."""
+    days = 0.0
+    growing = [(rate, room) for rate, room in growths if rate > 0 and room > 0]
+    while growing:
+        total_rate = sum(rate for rate, _ in growing)
+        step_days = min(room / rate for rate, room in growing)
+        if spare_bytes <= total_rate * step_days:
+            return days + max(spare_bytes, 0.0) / total_rate
+        days += step_days
+        spare_bytes -= total_rate * step_days
+        growing = [(rate, left) for rate, room in growing if (left := room - rate * step_days) > 0]
+    return None

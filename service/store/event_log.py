@@ -6,7 +6,6 @@ import sqlite3
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 
 from service.base.errors import StoreError
 from service.store.events import NewEvent, note_event
@@ -19,12 +18,8 @@ MAX_WAITING = 1000
 
 Write = Callable[[sqlite3.Connection], None]
 """Writes within a transaction that another one began."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Change:
-    write: Write | None
-    events: Sequence[NewEvent]
+Change = tuple[Write | None, Sequence[NewEvent]]
+"""Events, and what they change in the database."""
 
 
 class EventLog:
@@ -32,15 +27,15 @@ class EventLog:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._waiting: deque[_Change] = deque(maxlen=MAX_WAITING)
+        self._waiting: deque[Change] = deque(maxlen=MAX_WAITING)
         self._writing: asyncio.Future[None] | None = None
 
     def note(self, *events: NewEvent, write: Write | None = None) -> None:
         """Write events, and what `write` changes, in one transaction, as soon as the disk takes it."""
         if len(self._waiting) == MAX_WAITING:
-            given_up = [event.type for event in self._waiting[0].events]
+            given_up = [event.type for event in self._waiting[0][1]]
             log.error("events are given up, as the store is held: %s", ", ".join(given_up) or "no event")
-        self._waiting.append(_Change(write, events))
+        self._waiting.append((write, events))
         self._write_next()
 
     async def written(self, timeout_s: float | None = None) -> None:
@@ -68,9 +63,9 @@ class EventLog:
         self._write_next()
 
 
-def _write_all(connection: sqlite3.Connection, changes: Sequence[_Change]) -> None:
-    for change in changes:
-        if change.write is not None:
-            change.write(connection)
-        for event in change.events:
+def _write_all(connection: sqlite3.Connection, changes: Sequence[Change]) -> None:
+    for write, events in changes:
+        if write is not None:
+            write(connection)
+        for event in events:
             note_event(connection, event)

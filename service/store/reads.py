@@ -3,7 +3,7 @@
 import json
 import sqlite3
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from pipeline.frames import GateCount
@@ -13,29 +13,6 @@ from service.store.particle_files import revision_folder
 
 Record = dict[str, Any]
 """A result as stored: the fields of `service.results.fields.Result`, and any other key."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ParticleFilter:
-    """Conditions on the results to list; `None` is no condition. Sizes in mm, both bounds included."""
-
-    outcome: str | None = None
-    quality: str | None = None
-    kind: str | None = None
-    min_sieve_size_mm: float | None = None
-    max_sieve_size_mm: float | None = None
-    since: str | None = None  # captured at or after, as `pipeline.frames.rfc3339` writes it
-    until: str | None = None  # captured before
-    lot: str | None = None
-    has_frames: bool | None = None  # whether raw frames may be kept: of one of the newest stones, or pinned
-    zingg_class: str | None = None
-    is_flaky: bool | None = None  # EN 933-3; neither outside of its fractions
-    is_non_cubical: bool | None = None  # EN 933-4; neither outside of its range
-    min_volume_sd_percent: float | None = None
-    max_volume_sd_percent: float | None = None
-    quality_cause: str | None = None
-    algorithm_version: str | None = None
-    body: str | None = None
 
 
 STATE = (
@@ -69,6 +46,39 @@ NON_CUBICAL = (
     f" THEN max_feret_mm > {MAX_CUBICAL} * min_feret_mm END"
 )
 """Whether a stone is longer than three times its thickness; null outside of the range of the shape index."""
+
+
+def _if(condition: str, *, of_stones: bool = False) -> Any:
+    """Return a field for the value of an SQL condition on `indexed_fields`; balls never fit one `of_stones`."""
+    return field(
+        default=None, metadata={"sql": f"kind = 'particle' AND {condition}" if of_stones else condition}
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParticleFilter:
+    """Conditions on the results to list; `None` is no condition. Sizes in mm, both bounds included."""
+
+    outcome: str | None = _if("outcome = ?")
+    quality: str | None = _if("quality = ?")
+    kind: str | None = _if("kind = ?")
+    min_sieve_size_mm: float | None = _if("sieve_size_mm >= ?")
+    max_sieve_size_mm: float | None = _if("sieve_size_mm <= ?")
+    since: str | None = _if("captured_at >= ?")  # as `pipeline.frames.rfc3339` writes it
+    until: str | None = _if("captured_at < ?")
+    lot: str | None = _if("lot = ?")
+    has_frames: bool | None = _if(
+        "(seq >= (SELECT first_raw FROM store) OR seq IN (SELECT seq FROM pins)) = ?"
+    )
+    """Whether raw frames may be kept: of one of the newest stones, or pinned."""
+    zingg_class: str | None = _if("zingg_class = ?", of_stones=True)
+    is_flaky: bool | None = _if(f"{FLAKY} = ?", of_stones=True)  # EN 933-3; neither outside of its fractions
+    is_non_cubical: bool | None = _if(f"{NON_CUBICAL} = ?", of_stones=True)  # EN 933-4, as above
+    min_volume_sd_percent: float | None = _if("volume_sd_percent >= ?", of_stones=True)
+    max_volume_sd_percent: float | None = _if("volume_sd_percent <= ?", of_stones=True)
+    quality_cause: str | None = _if("? IN (SELECT value FROM json_each(quality_causes))", of_stones=True)
+    algorithm_version: str | None = _if("algorithm_version = ?", of_stones=True)
+    body: str | None = _if("body = ?", of_stones=True)
 
 
 def open_triggers(
@@ -157,32 +167,11 @@ def particles(
     connection: sqlite3.Connection, wanted: ParticleFilter, before_seq: int | None, limit: int
 ) -> list[Record]:
     """Return the newest `limit` stones that fit and first came before `before_seq`, each in its newest revision."""
-    conditions = {
-        "outcome = ?": wanted.outcome,
-        "quality = ?": wanted.quality,
-        "kind = ?": wanted.kind,
-        "sieve_size_mm >= ?": wanted.min_sieve_size_mm,
-        "sieve_size_mm <= ?": wanted.max_sieve_size_mm,
-        "captured_at >= ?": wanted.since,
-        "captured_at < ?": wanted.until,
-        "lot = ?": wanted.lot,
-        "(seq >= (SELECT first_raw FROM store) OR seq IN (SELECT seq FROM pins)) = ?": wanted.has_frames,
-        "seq < ?": before_seq,
-    }
-    of_stones_alone = {
-        "zingg_class = ?": wanted.zingg_class,
-        f"{FLAKY} = ?": wanted.is_flaky,
-        f"{NON_CUBICAL} = ?": wanted.is_non_cubical,
-        "volume_sd_percent >= ?": wanted.min_volume_sd_percent,
-        "volume_sd_percent <= ?": wanted.max_volume_sd_percent,
-        "? IN (SELECT value FROM json_each(quality_causes))": wanted.quality_cause,
-        "algorithm_version = ?": wanted.algorithm_version,
-        "body = ?": wanted.body,
-    }
-    conditions |= {f"kind = 'particle' AND {text}": value for text, value in of_stones_alone.items()}
+    conditions = {each.metadata["sql"]: getattr(wanted, each.name) for each in fields(wanted)}
+    conditions["seq < ?"] = before_seq
     given = {text: value for text, value in conditions.items() if value is not None}
     rows = connection.execute(
-        f"{NEWEST} WHERE seq IN ("  # noqa: S608 - conditions are keys of the table above
+        f"{NEWEST} WHERE seq IN ("  # noqa: S608 - conditions are those of the fields
         f"SELECT seq FROM indexed_fields WHERE {' AND '.join((*given, HAS_RESULT))} ORDER BY seq DESC LIMIT ?"
         ") ORDER BY seq DESC",
         (*given.values(), limit),

@@ -49,7 +49,7 @@ from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
 from service.reports.lot_reports import RigStanding
 from service.store import Store
-from service.store.disk_use import RetentionFacts
+from service.store.checks import RetentionFacts
 from service.web.key_ring import KeyRing
 from service.web.problems import all_problems
 from service.web.reader_process import Reading

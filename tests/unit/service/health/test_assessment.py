@@ -37,8 +37,15 @@ from service.processing.bundle_files import BundleFiles
 from service.processing.segmenters import CLASSICAL, SegmenterPlan
 from service.processing.spool import Spool
 from service.processing.worker_pool import workers_check
-from service.store.checks import LOW_DISK_BYTES, disk_check, retention_checks, store_check
-from service.store.disk_use import RetentionFacts, StoreUse
+from service.store.checks import (
+    LOW_DISK_BYTES,
+    RetentionFacts,
+    StoreUse,
+    disk_check,
+    retention_checks,
+    store_check,
+)
+from service.store.trouble import StoreTrouble, TroubleCause
 
 CALIBRATED = CalibrationFacts(calibration_id="rig", method="bundle", used_since="2026-11-21T04:00:00.000Z")
 
@@ -346,11 +353,14 @@ def test_dents_that_are_not_seen_ask_for_maintenance_and_stones_are_measured_on(
 
 
 def test_a_held_store_is_a_failure_with_the_remedy():
-    full = "database or disk is full: make room on the disk of store.dir"
+    full = StoreTrouble(TroubleCause.FULL, "database or disk is full")
     held = store_check(full, (), last_seq=7, n_waiting=12)
     health = assessed({"store": held}, acquisition=rig(AcquisitionState.HELD))
     assert (health.ne107, health.ready) == (Ne107.FAILURE, False)
-    assert health.reasons == ("acquisition: held", f"store: {full}; 12 stones wait for it")
+    assert health.reasons == (
+        "acquisition: held",
+        f"store: {full}; 12 stones wait for it",
+    )
 
 
 def test_what_was_moved_aside_stays_an_alarm_until_it_is_seen_to():

@@ -11,7 +11,7 @@ from support.rest import particle_files
 
 from service.store import Store
 from service.store.accounting import accounting
-from service.store.disk_use import days_until_full, store_use
+from service.store.checks import days_until_full, store_use
 from service.store.holds import consumers, park, pin
 from service.store.reads import particle, results_after
 from service.store.retention import (
