@@ -1,6 +1,6 @@
 """Make the result record: one flat dictionary, the same in `results.jsonl` and in the REST feed."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from typing import Any
 
@@ -10,6 +10,12 @@ from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResu
 from pipeline.segmentation.optics import ViewOptics
 from service.results.fields import EMPTY, MEASURED_FIELDS, STORED_FIELDS, Hull, Outcome
 from service.results.version import ALGORITHM_VERSION
+
+OPTICS_DIGITS = {
+    "brightness": 4, "gradient_uv": 4, "dust": 4, "spots_share": 4, "saturated_share": 5, "noise_grey": 2,
+    "edge_width_px": 2, "edge_widths_uv_px": 2, "contrast": 3,
+}  # fmt: skip
+"""Fields of `service.results.fields.RecordedOptics`, and the digits after the point that one exposure shows."""
 
 
 def result_record(
@@ -23,7 +29,7 @@ def result_record(
     timings_ms: dict[str, float],
 ) -> dict[str, Any]:
     """Return the record of a bundle that was processed: `measured`, or `rejected` with the reason."""
-    measurement, rejection = result.measurement, result.rejection
+    measurement, rejection, compared = result.measurement, result.rejection, result.consistency
     record = _base(trigger, bundle, calibration_id, is_simulated)
     record |= {
         "outcome": str(Outcome.REJECTED if measurement is None else Outcome.MEASURED),
@@ -37,8 +43,9 @@ def result_record(
         "segmentation_flags": {
             camera: seen.fallback for camera, seen in result.silhouettes.items() if seen.fallback is not None
         },
-        "view_residuals_px": {camera: round(px, 4) for camera, px in result.residuals_px.items()},
-        **_tangency(result),
+        "view_residuals_px": _rounded_each(result.residuals_px),
+        "tangency_px": {} if compared is None else _rounded_each(compared.tangency_px),
+        "image_shifts_px": {} if compared is None else _rounded_each(compared.image_shifts_px),
         "optics": optics_record(result.optics),
         "timings_ms": timings_ms,
     }
@@ -47,37 +54,23 @@ def result_record(
     return record | _gate_extent(trigger, measurement, speed_at_gate_mm_s)
 
 
-def _tangency(result: ParticleResult) -> dict[str, Any]:
-    """Return the epipolar residuals and image shifts of all cameras, dropped ones included."""
-    if result.consistency is None:
-        return {}
-    found = result.consistency
-    return {
-        "tangency_px": {camera: round(px, 4) for camera, px in found.tangency_px.items()},
-        "image_shifts_px": {
-            camera: [round(px, 4) for px in shift] for camera, shift in found.image_shifts_px.items()
-        },
-    }
-
-
 def optics_record(optics: Mapping[CameraId, ViewOptics]) -> dict[str, Any]:
     """Return the field `optics` of a record, rounded to the precision of one exposure."""
     return {
-        camera: {
-            "brightness": round(seen.brightness, 4),
-            "gradient_uv": [round(slope, 4) for slope in seen.gradient_uv],
-            "dust": round(seen.dust, 4),
-            "spots_share": round(seen.spots_share, 4),
-            "saturated_share": round(seen.saturated_share, 5),
-            "noise_grey": round(seen.noise_grey, 2),
-            "edge_width_px": None if seen.edge_width_px is None else round(seen.edge_width_px, 2),
-            "edge_widths_uv_px": None
-            if seen.edge_widths_uv_px is None
-            else [round(width_px, 2) for width_px in seen.edge_widths_uv_px],
-            "contrast": None if seen.contrast is None else round(seen.contrast, 3),
-        }
+        camera: {name: _rounded(getattr(seen, name), digits) for name, digits in OPTICS_DIGITS.items()}
         for camera, seen in optics.items()
     }
+
+
+def _rounded_each(px_by_camera: Mapping[CameraId, Any]) -> dict[str, Any]:
+    """Return residuals or shifts of all cameras, dropped ones included, in px."""
+    return {camera: _rounded(px, 4) for camera, px in px_by_camera.items()}
+
+
+def _rounded(value: float | Iterable[float] | None, digits: int) -> float | list[float] | None:
+    if value is None or isinstance(value, float | int):
+        return None if value is None else round(value, digits)
+    return [round(each, digits) for each in value]
 
 
 def lost_record(
