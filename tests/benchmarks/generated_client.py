@@ -1,4 +1,4 @@
-"""Generate a client from `deploy/openapi.json`, in Python or in Java, and make its calls on a served store.
+"""Generate a client from `deploy/openapi.json`, in Python, TypeScript or Java, and make its calls on a served store.
 
 The generators are no requirement of ours, so they have an environment of their own:
 
@@ -6,11 +6,14 @@ The generators are no requirement of ours, so they have an environment of their 
     .venv/bin/python tests/benchmarks/generated_client.py python /tmp/generator/bin/openapi-python-client
     .venv/bin/python tests/benchmarks/generated_client.py java \\
         /tmp/generator/lib/python3.11/site-packages/openapi_generator_cli/openapi-generator.jar
+    npm --prefix /tmp/generator install openapi-typescript@7 openapi-fetch typescript@5 @types/node
+    .venv/bin/python tests/benchmarks/generated_client.py typescript /tmp/generator/node_modules
 
 Java needs a JDK 17; the generator's jar has the JSON library that the client needs.
 """
 
 import argparse
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -31,6 +34,7 @@ from service.store import open_store
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 JAVA_CALLS = Path(__file__).with_name("Calls.java")
+TYPESCRIPT_CALLS = Path(__file__).with_name("calls.ts")
 ANNOTATION = """
 package javax.annotation;
 public @interface Generated { String[] value(); String date(); String comments(); }
@@ -75,6 +79,7 @@ class Language(StrEnum):
     """Languages of clients that are tried."""
 
     PYTHON = "python"
+    TYPESCRIPT = "typescript"
     JAVA = "java"
 
 
@@ -91,6 +96,17 @@ def python_client(generator: Path, folder: Path) -> list[str]:
     calls = folder / "calls.py"  # beside the package that it imports
     calls.write_text(PYTHON_CALLS, encoding="utf-8")
     return [str(generator.parent / "python"), str(calls)]
+
+
+def typescript_client(packages: Path, folder: Path) -> list[str]:
+    """Generate types for a client in TypeScript, compile its calls, and return their command; it lacks the address."""
+    (folder / "node_modules").symlink_to(packages)  # where both compiler and calls look for packages
+    programs, types = packages / ".bin", folder / "stonefall.ts"
+    subprocess.run([programs / "openapi-typescript", DEPLOY / "openapi.json", "-o", types], check=True)
+    calls = Path(shutil.copy(TYPESCRIPT_CALLS, folder))
+    compile_calls = [programs / "tsc", "--strict", "--target", "es2022", "--module", "node16", calls]
+    subprocess.run(compile_calls, check=True, cwd=folder)
+    return ["node", str(calls.with_suffix(".js"))]
 
 
 def java_client(generator: Path, folder: Path) -> list[str]:
@@ -111,7 +127,11 @@ def java_client(generator: Path, folder: Path) -> list[str]:
     return ["java", "-enableassertions", "-cp", f"{classes}:{generator}", "Calls"]
 
 
-CLIENTS = {Language.PYTHON: python_client, Language.JAVA: java_client}
+CLIENTS = {
+    Language.PYTHON: python_client,
+    Language.TYPESCRIPT: typescript_client,
+    Language.JAVA: java_client,
+}
 
 
 async def try_client(language: Language, generator: Path, folder: Path) -> int:
@@ -130,7 +150,9 @@ async def try_client(language: Language, generator: Path, folder: Path) -> int:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("language", type=Language, choices=list(Language))
-    parser.add_argument("generator", type=Path, help="openapi-python-client, or openapi-generator.jar")
+    parser.add_argument(
+        "generator", type=Path, help="openapi-python-client, node_modules, or openapi-generator.jar"
+    )
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         sys.exit(run(try_client(arguments.language, arguments.generator.absolute(), Path(folder))))
