@@ -1,6 +1,8 @@
 """Meshes and images of a stored particle in the formats that clients ask for, made in the process `stonefall-read`."""
 
+import json
 from contextlib import suppress
+from dataclasses import asdict
 from enum import StrEnum
 from io import BytesIO
 from pathlib import Path
@@ -17,14 +19,21 @@ from drivers.files.mesh_file import ply_bytes
 from drivers.files.mesh_parsing import parse_mesh
 from drivers.files.recording import read_bundle, read_header
 from drivers.files.silhouette_file import read_silhouettes
-from pipeline.arrays import Greys
+from pipeline.arrays import Greys, Mask
+from pipeline.errors import MeshError
 from pipeline.frames import CameraId, Image
+from pipeline.measuring.contacts import contacts_of
 from pipeline.preview import STONE_RGB, colors_of, render_preview
 
 if TYPE_CHECKING:
     import trimesh
 
 PREVIEW_SIZE_PX = 480
+STONE, UNKNOWN = 255, 128  # labels of a silhouette
+OUTLINE_STYLE = (
+    "path{fill:none;stroke-width:2;vector-effect:non-scaling-stroke}"
+    ".stone{stroke:var(--sf-outline,#d9480f)}.unknown{stroke:var(--sf-unknown,#868e96);stroke-dasharray:6 4}"
+)
 PNG_END = b"IEND\xaeB`\x82"
 MM_Z_UP_TO_M_Y_UP = 0.001 * np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 """From the frame of the rig to that of glTF 2.0, section 3.4: right-handed, metres, +y up; x stays, z becomes y."""
@@ -151,3 +160,37 @@ def _greys(mesh: "trimesh.Trimesh") -> Greys | None:
     if not isinstance(visual, ColorVisuals) or visual.kind != "vertex":
         return None
     return np.asarray(visual.vertex_colors[:, 0])
+
+
+def calipers_json(folder: Path) -> bytes:
+    """Return the contacts of the mesh as JSON; raise `NotKeptError` without a mesh that can be measured."""
+    mesh = stored_mesh(folder)
+    try:
+        contacts = contacts_of(mesh.vertices, mesh.faces)
+    except MeshError as err:
+        raise NotKeptError(f"the mesh cannot be measured: {err}") from err
+    return json.dumps(asdict(contacts), allow_nan=False).encode()
+
+
+def outline_svg(folder: Path, camera: str) -> bytes:
+    """Return the borders of stone and unknown in one view; raise `NotKeptError` where there is no silhouette."""
+    labels = stored_silhouette(folder, camera)
+    height, width = labels.shape
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}">'
+        f"<style>{OUTLINE_STYLE}</style>"
+        f'<path class="unknown" d="{_border(labels == UNKNOWN)}"/>'
+        f'<path class="stone" d="{_border(labels == STONE)}"/></svg>'
+    ).encode()
+
+
+def _border(mask: Mask) -> str:
+    """Return the closed polygons around a region and its holes, as path data in pixels of the image.
+
+    They run through the centres of the outermost pixels, half a pixel within the region; pixel (u, v) covers the square
+    from (u, v) to (u + 1, v + 1).
+    """
+    found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    return "".join(
+        "M" + "L".join(f"{u + 0.5:g} {v + 0.5:g}" for u, v in contour[:, 0]) + "Z" for contour in found
+    )

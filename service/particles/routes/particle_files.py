@@ -5,18 +5,19 @@ revision. Content negotiation and caching go as far as such files need them (RFC
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Request
+from fastapi import APIRouter, Depends, Path, Request
 from fastapi.responses import Response
 
 from pipeline.measuring.contacts import Contacts
-from service.particles.calipers import calipers_json
-from service.particles.outlines import outline_svg
 from service.particles.renditions import (
     MeshFormat,
     NotKeptError,
+    calipers_json,
     mesh_bytes,
+    outline_svg,
     preview_png,
     silhouette_png,
     view_png,
@@ -31,6 +32,7 @@ from service.web.etags import NOT_MODIFIED, Responses, has_version
 from service.web.negotiation import best_match
 from service.web.parameters import CameraName
 from service.web.problems import Problem, problem_responses
+from service.web.shared_documents import POLICY
 
 router = APIRouter(prefix="/particles", tags=["particles"], dependencies=READABLE)
 
@@ -42,187 +44,142 @@ MEDIA_TYPES = {
 CACHE_FOREVER = "private, max-age=31536000, immutable"
 ASK_AGAIN = "private, no-cache"
 """For what another revision may replace: it may be kept, and is asked for by its ETag."""
-OUTLINE_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
-"""What a browser lets the SVG do that is opened by itself: it has no scripts and loads nothing."""
-
-IMAGE: Responses = {200: {"content": {"image/png": {}}}, **NOT_MODIFIED, **problem_responses(404, 410)}
-MESH: Responses = {
-    200: {"content": {media_type: {} for media_type in MEDIA_TYPES.values()}},
-    **NOT_MODIFIED,
-}
+GONE: Responses = {**NOT_MODIFIED, **problem_responses(410)}
+IMAGE: Responses = {200: {"content": {"image/png": {}}}, **GONE}
+SVG: Responses = {200: {"content": {"image/svg+xml": {}}}, **GONE}
+MESH: Responses = {200: {"content": {media_type: {} for media_type in MEDIA_TYPES.values()}}, **GONE}
 
 
-@router.get("/{particle_id}/mesh", response_class=Response, responses={**MESH, **problem_responses(406, 410)})
-async def mesh(context: Context, request: Request, particle_id: ParticleKey) -> Response:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FileRequest:
+    """Request for a file of a stone; its `seq` names one revision for ever, its `id` the newest."""
+
+    context: ApiContext
+    request: Request
+    key: str
+    record: Record
+    camera: str = ""  # of a view
+
+    async def answer(
+        self, name: str, media_type: str, load: Callable[..., bytes], *choice: str, is_fixed: bool = False
+    ) -> Response:
+        """Answer with `load(folder, *choice)`, 304 when the client has it; one that is fixed it may cache for ever."""
+        record = self.record
+        members: dict[str, Any] = {"outcome": record["outcome"], "reason": record.get("reason")}
+        if (removed := record["files_removed"]) is not None:
+            detail = (
+                f"mesh and images of particle {record['id']} were removed for {removed}, its numbers are kept"
+            )
+            raise Problem(410, "files-removed", detail, files_removed=removed, **members)
+        revision = record.get("revision", 1)
+        etag = f'"{record["id"]}.{name}"' if revision == 1 else f'"{record["id"]}.r{revision}.{name}"'
+        is_lasting = is_fixed or self.key.isdecimal()
+        headers = {"ETag": etag, "Cache-Control": CACHE_FOREVER if is_lasting else ASK_AGAIN}
+        if has_version(self.request.headers.get("if-none-match"), etag):
+            return Response(status_code=304, headers=headers)
+        try:
+            folder = await self.context.store.folder(record["seq"])
+            content = await self.context.reading.run(load, folder, *choice)
+        except NotKeptError as err:
+            detail = f"particle {record['id']} ({record['outcome']}): {err}"
+            raise Problem(404, "not-kept", detail, **members) from err
+        return Response(content, media_type=media_type, headers=headers)
+
+    async def mesh(self, mesh_format: MeshFormat) -> Response:
+        """Answer with the mesh in this format."""
+        response = await self.answer(mesh_format, MEDIA_TYPES[mesh_format], mesh_bytes, mesh_format)
+        response.headers["Vary"] = "Accept"
+        return response
+
+
+async def file_request(context: Context, request: Request, particle_id: ParticleKey) -> FileRequest:
+    """Find the stone; raise the problem 404 where there is none."""
+    record = await find_record(context, particle_id)
+    return FileRequest(context=context, request=request, key=particle_id, record=record)
+
+
+async def view_request(
+    context: Context, request: Request, particle_id: ParticleKey, camera: CameraName
+) -> FileRequest:
+    """Find the stone; raise the problem 404 where there is none, or it has no view of this camera."""
+    asked = await file_request(context, request, particle_id)
+    record = asked.record
+    # a rejection names only the views that it is about
+    names_all_views = record["outcome"] != Outcome.REJECTED
+    if names_all_views and camera not in {*record.get("views", ()), *record.get("dropped_views", ())}:
+        raise Problem(404, "unknown-camera", f"particle {record['id']} has no view of a camera {camera!r}")
+    return replace(asked, camera=camera)
+
+
+async def format_of(
+    mesh_format: Annotated[MeshFormat, Path(description="Format of the file")],
+) -> MeshFormat:
+    """Return the format that the path names; a dependency, as parameters of the path stand in its order then."""
+    return mesh_format
+
+
+Asked = Annotated[FileRequest, Depends(file_request)]
+AskedView = Annotated[FileRequest, Depends(view_request)]
+
+
+@router.get("/{particle_id}/mesh", response_class=Response, responses={**MESH, **problem_responses(406)})
+async def mesh(asked: Asked) -> Response:
     """Get the mesh in the format that `Accept` prefers: PLY or STL in mm with z up, or GLB in metres with y up.
 
     Where `[body] texture` made them, PLY and GLB have the stone's grey as colours of the vertices.
     """
-    formats = list(MEDIA_TYPES)
-    choice = best_match(request.headers.get("accept"), list(MEDIA_TYPES.values()))
+    choice = best_match(asked.request.headers.get("accept"), list(MEDIA_TYPES.values()))
     if choice is None:
-        raise Problem(
-            406,
-            "not-acceptable",
-            "a mesh comes as " + ", ".join(MEDIA_TYPES.values()),
-            headers={"Vary": "Accept"},
-        )
-    return await _mesh_response(context, request, particle_id, formats[choice])
+        detail = "a mesh comes as " + ", ".join(MEDIA_TYPES.values())
+        raise Problem(406, "not-acceptable", detail, headers={"Vary": "Accept"})
+    return await asked.mesh(list(MEDIA_TYPES)[choice])
 
 
-@router.get(
-    "/{particle_id}/mesh.{mesh_format}", response_class=Response, responses={**MESH, **problem_responses(410)}
-)
-async def mesh_file(
-    context: Context,
-    request: Request,
-    particle_id: ParticleKey,
-    mesh_format: Annotated[MeshFormat, Path(description="Format of the file")],
-) -> Response:
+@router.get("/{particle_id}/mesh.{mesh_format}", response_class=Response, responses=MESH)
+async def mesh_file(asked: Asked, mesh_format: Annotated[MeshFormat, Depends(format_of)]) -> Response:
     """Download the mesh as a file: PLY or STL in mm with z up, or GLB in metres with y up, by the suffix.
 
     Where `[body] texture` made them, PLY and GLB have the stone's grey as colours of the vertices.
     """
-    return await _mesh_response(context, request, particle_id, mesh_format)
+    return await asked.mesh(mesh_format)
 
 
-@router.get(
-    "/{particle_id}/calipers", response_model=Contacts, responses={**NOT_MODIFIED, **problem_responses(410)}
-)
-async def calipers(context: Context, request: Request, particle_id: ParticleKey) -> Response:
+@router.get("/{particle_id}/calipers", response_model=Contacts, responses=GONE)
+async def calipers(asked: Asked) -> Response:
     """Get the caliper points: where length, width, thickness, both Feret diameters and the sieve touch the mesh.
 
     Lengths may differ from those of the result by what is known beyond the mesh: corners that it cuts, and of an
     estimate the hull around it. 404 `not-kept` without a mesh.
     """
-    record = await find_record(context, particle_id)
-    return await _file(
-        context,
-        request,
-        record,
-        "calipers",
-        "application/json",
-        calipers_json,
-        is_fixed=particle_id.isdecimal(),
-    )
+    return await asked.answer("calipers", "application/json", calipers_json)
 
 
 @router.get("/{particle_id}/preview.png", response_class=Response, responses=IMAGE)
-async def preview(context: Context, request: Request, particle_id: ParticleKey) -> Response:
+async def preview(asked: Asked) -> Response:
     """Get a picture of the mesh, in the grey of its vertices if they have any."""
-    record = await find_record(context, particle_id)
-    return await _file(
-        context, request, record, "preview", "image/png", preview_png, is_fixed=particle_id.isdecimal()
-    )
+    return await asked.answer("preview", "image/png", preview_png)
 
 
 @router.get("/{particle_id}/views/{camera}.png", response_class=Response, responses=IMAGE)
-async def view(context: Context, request: Request, particle_id: ParticleKey, camera: CameraName) -> Response:
+async def view(asked: AskedView) -> Response:
     """Get the image of a stone by one camera; 404 `not-kept` when the raw images were not kept or are gone."""
-    record = await _record_with_view(context, particle_id, camera)
-    frames = {**record, "seq": first_seq(record["id"]), "revision": 1}  # the stone's, whatever measured it
-    return await _file(context, request, frames, camera, "image/png", view_png, camera, is_fixed=True)
+    stone = asked.record["id"]  # whatever measured it, its frames are the same
+    frames = replace(asked, record={**asked.record, "seq": first_seq(stone), "revision": 1})
+    return await frames.answer(asked.camera, "image/png", view_png, asked.camera, is_fixed=True)
 
 
 @router.get("/{particle_id}/views/{camera}/silhouette.png", response_class=Response, responses=IMAGE)
-async def silhouette(
-    context: Context, request: Request, particle_id: ParticleKey, camera: CameraName
-) -> Response:
+async def silhouette(asked: AskedView) -> Response:
     """Get the silhouette of a stone in one view: 0 outside, 128 unknown, 255 inside."""
-    record = await _record_with_view(context, particle_id, camera)
-    return await _file(
-        context,
-        request,
-        record,
-        f"{camera}.silhouette",
-        "image/png",
-        silhouette_png,
-        camera,
-        is_fixed=particle_id.isdecimal(),
-    )
+    return await asked.answer(f"{asked.camera}.silhouette", "image/png", silhouette_png, asked.camera)
 
 
-@router.get(
-    "/{particle_id}/views/{camera}/outline.svg",
-    response_class=Response,
-    responses={200: {"content": {"image/svg+xml": {}}}, **NOT_MODIFIED, **problem_responses(410)},
-)
-async def outline(
-    context: Context, request: Request, particle_id: ParticleKey, camera: CameraName
-) -> Response:
+@router.get("/{particle_id}/views/{camera}/outline.svg", response_class=Response, responses=SVG)
+async def outline(asked: AskedView) -> Response:
     """Draw the outline of a stone in one view: in pixels of the image; dashed is what is unknown.
 
     Paths have the classes `stone`, its holes among it, and `unknown`.
     """
-    record = await _record_with_view(context, particle_id, camera)
-    response = await _file(
-        context,
-        request,
-        record,
-        f"{camera}.outline",
-        "image/svg+xml",
-        outline_svg,
-        camera,
-        is_fixed=particle_id.isdecimal(),
-    )
-    response.headers["Content-Security-Policy"] = OUTLINE_POLICY
+    response = await asked.answer(f"{asked.camera}.outline", "image/svg+xml", outline_svg, asked.camera)
+    response.headers["Content-Security-Policy"] = POLICY
     return response
-
-
-async def _record_with_view(context: ApiContext, key: str, camera: str) -> Record:
-    record = await find_record(context, key)
-    names_all_views = (
-        record["outcome"] != Outcome.REJECTED
-    )  # a rejection names only the views that it is about
-    if names_all_views and camera not in {*record.get("views", ()), *record.get("dropped_views", ())}:
-        raise Problem(404, "unknown-camera", f"particle {record['id']} has no view of a camera {camera!r}")
-    return record
-
-
-async def _mesh_response(
-    context: ApiContext, request: Request, key: str, mesh_format: MeshFormat
-) -> Response:
-    record = await find_record(context, key)
-    response = await _file(
-        context,
-        request,
-        record,
-        mesh_format,
-        MEDIA_TYPES[mesh_format],
-        mesh_bytes,
-        mesh_format,
-        is_fixed=key.isdecimal(),
-    )
-    response.headers["Vary"] = "Accept"
-    return response
-
-
-async def _file(
-    context: ApiContext,
-    request: Request,
-    record: Record,
-    name: str,
-    media_type: str,
-    load: Callable[..., bytes],
-    *choice: str,
-    is_fixed: bool,
-) -> Response:
-    """Answer with `load(folder, *choice)`, 304 when the client has it; one that is fixed it may cache for ever."""
-    members: dict[str, Any] = {"outcome": record["outcome"], "reason": record.get("reason")}
-    if (removed := record["files_removed"]) is not None:
-        detail = (
-            f"mesh and images of particle {record['id']} were removed for {removed}, its numbers are kept"
-        )
-        raise Problem(410, "files-removed", detail, files_removed=removed, **members)
-    revision = record.get("revision", 1)
-    etag = f'"{record["id"]}.{name}"' if revision == 1 else f'"{record["id"]}.r{revision}.{name}"'
-    headers = {"ETag": etag, "Cache-Control": CACHE_FOREVER if is_fixed else ASK_AGAIN}
-    if has_version(request.headers.get("if-none-match"), etag):
-        return Response(status_code=304, headers=headers)
-    try:
-        content = await context.reading.run(load, await context.store.folder(record["seq"]), *choice)
-    except NotKeptError as err:
-        raise Problem(
-            404, "not-kept", f"particle {record['id']} ({record['outcome']}): {err}", **members
-        ) from err
-    return Response(content, media_type=media_type, headers=headers)
