@@ -2,9 +2,11 @@
 
 import sqlite3
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
+
+from pydantic import BaseModel
 
 from pipeline.frames import rfc3339
 from pipeline.gradation.correlation import correlated
@@ -72,6 +74,14 @@ def window_figures(
         return None
     stones = stones_between(connection, since, until)
     return figures_of(stones, request, found, rate_per_s=stones_per_s(connection))
+
+
+def as_json(
+    connection: sqlite3.Connection, make: Callable[..., BaseModel | None], *given: object
+) -> str | None:
+    """Return `make(connection, *given)` as JSON, for a process that has the connection; None if there is none."""
+    found = make(connection, *given)
+    return None if found is None else found.model_dump_json()
 
 
 def stones_per_s(connection: sqlite3.Connection) -> float:

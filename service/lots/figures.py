@@ -217,6 +217,20 @@ class LotFigures(Report):
     is_simulated: bool = Field(description="True when images of some stones are synthetic")
     is_replay: bool = Field(description="True when some stones did not fall")
 
+    @property
+    def correlated_percent(self) -> dict[float, float | None]:
+        """Passing by sieve as the laboratory's sieves would find it; empty without a correlation study."""
+        return (
+            {step.sieve_mm: step.passing_percent.value for step in self.correlated.curve}
+            if self.correlated
+            else {}
+        )
+
+    @property
+    def correlation_version(self) -> str | None:
+        """Version of the correlation study, None without one."""
+        return str(self.correlated.version) if self.correlated else None
+
 
 INDICES = tuple(name for name, field in ShapeIndices.model_fields.items() if field.annotation is Estimate)
 """The figures of a lot beside its curve and ASTM D4791."""

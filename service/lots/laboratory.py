@@ -6,6 +6,7 @@ import sqlite3
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from http import HTTPStatus
+from typing import Any
 
 from pydantic import TypeAdapter
 
@@ -171,6 +172,24 @@ def sievings(connection: sqlite3.Connection, lot: str) -> list[StoredSieving]:
         StoredSieving(sieving=number, lot=lot, at=at, document=SIEVING.validate_json(text))
         for number, at, text in rows
     ]
+
+
+def sievings_json(connection: sqlite3.Connection, lot: str) -> bytes:
+    """Return the sievings of a lot as JSON."""
+    return json.dumps({"items": [sieving_document(each) for each in sievings(connection, lot)]}).encode()
+
+
+def sieving_document(stored: StoredSieving) -> dict[str, Any]:
+    """Return a sieving as its document says it."""
+    sieving = stored.document
+    return {
+        **asdict(sieving),
+        "sieving": stored.sieving,
+        "at": stored.at,
+        "mass_g": sieving.mass_g,
+        "retained_g": {f"{sieve_mm:g}": grams for sieve_mm, grams in sieving.retained_g.items()},
+        "passing_percent": {f"{sieve_mm:g}": share for sieve_mm, share in sieving.passing_percent.items()},
+    }
 
 
 def study_of(connection: sqlite3.Connection, product: str, form: MappingForm) -> Study:

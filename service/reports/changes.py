@@ -1,10 +1,12 @@
 """Changes since an entry of the crusher's diary, in a sentence."""
 
+import sqlite3
 from datetime import datetime, timedelta, tzinfo
 
 from pipeline.gradation.estimates import State
+from pipeline.gradation.sieves import MeasuredRange
 from service.base.language import Language
-from service.lots.trends.changes import ChangedFigure, Changes, EntryChanges, FigureChange
+from service.lots.trends.changes import ChangedFigure, Changes, EntryChanges, FigureChange, changes
 from service.reports.words import Words, words
 
 DECIMALS = {ChangedFigure.D50: 2}
@@ -13,10 +15,17 @@ RECENT = timedelta(hours=20)
 """An earlier entry is named with its day."""
 
 
-def with_sentences(changes: Changes, language: Language, now: str, zone: tzinfo | None = None) -> Changes:
+def told_changes(
+    connection: sqlite3.Connection, now: str, hours: float, measured: MeasuredRange, language: Language
+) -> Changes:
+    """Return the changes since each entry of the diary of the last hours, with their sentences."""
+    return with_sentences(changes(connection, now, hours, measured), language, now)
+
+
+def with_sentences(found: Changes, language: Language, now: str, zone: tzinfo | None = None) -> Changes:
     """Return the changes with their sentences; clock times are of `zone`, by default the host's."""
     say = words(language)
-    return changes.model_copy(update={"items": [_said(each, say, now, zone) for each in changes.items]})
+    return found.model_copy(update={"items": [_said(each, say, now, zone) for each in found.items]})
 
 
 def _said(changed: EntryChanges, say: Words, now: str, zone: tzinfo | None) -> EntryChanges:

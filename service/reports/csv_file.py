@@ -143,12 +143,13 @@ def _figure_row(
 
 
 def _laboratory_rows(data: ReportData) -> Iterator[Row]:
+    correlated, version = data.figures.correlated_percent, data.figures.correlation_version
     for sieving in data.sievings:
-        about = {"id": sieving.id, "at": sieving.at, "by": sieving.by, "study": sieving.correlation}
+        about = {"id": str(sieving.sieving), "at": sieving.at, "by": sieving.document.by, "study": version}
         yield from _named("laboratory", about)
-        for step in sieving.steps:
-            for name in ("passing_percent", "correlated_percent"):
-                yield Row("laboratory", name, getattr(step, name), "%", step.sieve_mm)
+        for sieve_mm, percent in sieving.document.passing_percent.items():
+            yield Row("laboratory", "passing_percent", percent, "%", sieve_mm)
+            yield Row("laboratory", "correlated_percent", correlated.get(sieve_mm), "%", sieve_mm)
 
 
 def accounting_rows(figures: LotFigures) -> Iterator[Row]:

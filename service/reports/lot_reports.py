@@ -9,20 +9,11 @@ from pathlib import Path
 from drivers.files.times import utc_now
 from service.base.language import Language
 from service.lots.evaluation import lot_figures
-from service.lots.figures import LotFigures
-from service.lots.laboratory import StoredSieving, sievings
+from service.lots.laboratory import sievings
 from service.lots.yardsticks import Request
 from service.particles.renditions import NotKeptError, preview_png
 from service.reports.render import render
-from service.reports.report import (
-    GalleryReason,
-    GalleryStone,
-    LaboratorySieving,
-    LastVerification,
-    ReportData,
-    ReportFormat,
-    SievingStep,
-)
+from service.reports.report import GalleryReason, GalleryStone, LastVerification, ReportData, ReportFormat
 from service.store.particle_files import path_of
 from service.store.reads import newest_folder
 from service.web.version import API_VERSION
@@ -87,7 +78,7 @@ def report_data(
         api_version=API_VERSION,
         verification=wanted.rig.verification,
         is_verification_overdue=wanted.rig.is_overdue,
-        sievings=[_sieving(each, figures) for each in sievings(connection, lot)],
+        sievings=sievings(connection, lot),
         gallery=_gallery(connection, particles_dir, lot, limits_mm) if has_pictures else (),
     )
 
@@ -130,26 +121,4 @@ def _stone(
         volume_mm3=volume_mm3,
         quality=quality,
         preview_png=png,
-    )
-
-
-def _sieving(stored: StoredSieving, figures: LotFigures) -> LaboratorySieving:
-    correlated = (
-        {}
-        if figures.correlated is None
-        else {step.sieve_mm: step.passing_percent.value for step in figures.correlated.curve}
-    )
-    return LaboratorySieving(
-        id=str(stored.sieving),
-        at=stored.at,
-        by=stored.document.by,
-        steps=[
-            SievingStep(
-                sieve_mm=sieve_mm,
-                passing_percent=percent,
-                correlated_percent=correlated.get(sieve_mm),
-            )
-            for sieve_mm, percent in stored.document.passing_percent.items()
-        ],
-        correlation=None if figures.correlated is None else str(figures.correlated.version),
     )

@@ -6,6 +6,7 @@ from enum import StrEnum
 
 from service.base.language import Language
 from service.lots.figures import LotFigures
+from service.lots.laboratory import StoredSieving
 
 Scalar = str | int | float | bool | None
 """What a cell of a table holds."""
@@ -51,26 +52,6 @@ class LastVerification:
     error_mm: float | None  # mean diameter less the sphere's; None if no ball was measured
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SievingStep:
-    """One sieve of a laboratory sieving, beside what the instrument says of the same lot."""
-
-    sieve_mm: float
-    passing_percent: float  # in the laboratory
-    correlated_percent: float | None = None  # of the instrument, mapped by the product's correlation study
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LaboratorySieving:
-    """A sieving of the same lot by a laboratory."""
-
-    id: str
-    at: str
-    by: str | None
-    steps: Sequence[SievingStep]
-    correlation: str | None = None  # version of the study behind `correlated_percent`
-
-
 class GalleryReason(StrEnum):
     """Why a stone is shown."""
 
@@ -106,5 +87,5 @@ class ReportData:
     verification: LastVerification | None = None
     is_verification_overdue: bool = False
     uncertainty_remark: str | None = None  # of this rig, beside the statement that every report has
-    sievings: Sequence[LaboratorySieving] = ()
+    sievings: Sequence[StoredSieving] = ()
     gallery: Sequence[GalleryStone] = ()

@@ -3,9 +3,10 @@
 from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.specification import Verdict
 from service.lots.figures import Decision, LotFigures, ShapeIndices, decision_on, unit_of
+from service.lots.laboratory import StoredSieving
 from service.reports.curve import gradation_curve
 from service.reports.document import DASH, Block, Column, Note, Picture, Section, Table
-from service.reports.report import LaboratorySieving, ReportData
+from service.reports.report import ReportData
 from service.reports.texts import LONGEST_HEADING, abridged
 from service.reports.words import Words
 
@@ -30,9 +31,7 @@ def with_interval(figure: Estimate | None, decimals: int, say: Words) -> str:
 def gradation(data: ReportData, say: Words) -> Section:
     """Return the curve, its table, and the quantiles."""
     figures = data.figures
-    laboratory_passing = (
-        {step.sieve_mm: step.passing_percent for step in data.sievings[-1].steps} if data.sievings else None
-    )
+    laboratory_passing = data.sievings[-1].document.passing_percent if data.sievings else None
     columns = (
         Column(say("curve.sieve"), width=0.95),
         Column(say("curve.passing"), width=1.3),
@@ -195,40 +194,30 @@ def _size_fractions(found: ShapeIndices, say: Words) -> tuple[Block, ...]:
     return (Note(say("d4791.fractions_note")), table)
 
 
-def laboratory(sieving: LaboratorySieving, data: ReportData, say: Words) -> Section:
+def laboratory(sieving: StoredSieving, data: ReportData, say: Words) -> Section:
     """Return a sieving of the laboratory beside the raw and the correlated passing of the instrument."""
-    raw = {step.sieve_mm: step.passing_percent for step in data.figures.curve}
-    table = Table(
+    raw = {step.sieve_mm: step.passing_percent.value for step in data.figures.curve}
+    correlated, study = data.figures.correlated_percent, data.figures.correlation_version
+    titles = (
+        "curve.sieve",
+        "laboratory.raw",
+        "laboratory.correlated",
+        "laboratory.sieved",
+        "laboratory.difference",
+    )
+    passing = sorted(sieving.document.passing_percent.items(), reverse=True)
+    rows = [
         (
-            Column(say("curve.sieve")),
-            Column(say("laboratory.raw")),
-            Column(say("laboratory.correlated")),
-            Column(say("laboratory.sieved")),
-            Column(say("laboratory.difference")),
-        ),
-        [
-            (
-                say.size(step.sieve_mm),
-                say.estimate(figure, 1) if (figure := raw.get(step.sieve_mm)) else say("state.not_measured"),
-                DASH if step.correlated_percent is None else say.number(step.correlated_percent, 1),
-                say.number(step.passing_percent, 1),
-                _difference(figure, step.passing_percent, say),
-            )
-            for step in sorted(sieving.steps, key=lambda step: -step.sieve_mm)
-        ],
-    )
-    about = say(
-        "laboratory.about",
-        id=abridged(sieving.id, LONGEST_HEADING),
-        at=say.time(sieving.at),
-        by=abridged(sieving.by or DASH, LONGEST_HEADING),
-    )
-    study = abridged(sieving.correlation, LONGEST_HEADING) if sieving.correlation else None
-    correlated = say("laboratory.study", study=study) if study else say("laboratory.no_study")
-    return Section(say("laboratory.title"), (Note(about), table, Note(correlated)))
-
-
-def _difference(figure: Estimate | None, percent: float, say: Words) -> str:
-    if figure is None or figure.value is None:
-        return DASH
-    return say.number(figure.value - percent, 1)
+            say.size(sieve_mm),
+            say.number(value := raw.get(sieve_mm), 1),
+            DASH if (mapped := correlated.get(sieve_mm)) is None else say.number(mapped, 1),
+            say.number(percent, 1),
+            DASH if value is None else say.number(value - percent, 1),
+        )
+        for sieve_mm, percent in passing
+    ]
+    by = abridged(sieving.document.by or DASH, LONGEST_HEADING)
+    about = say("laboratory.about", id=sieving.sieving, at=say.time(sieving.at), by=by)
+    rests_on = say("laboratory.study", study=study) if study else say("laboratory.no_study")
+    table = Table([Column(say(title)) for title in titles], rows)
+    return Section(say("laboratory.title"), (Note(about), table, Note(rests_on)))

@@ -1,5 +1,6 @@
 """A figure over the last hours as a drawing: its line and interval, the diary's marks, the lots beneath."""
 
+import sqlite3
 from collections.abc import Iterator, Sequence
 from datetime import datetime, timedelta, tzinfo
 from enum import StrEnum
@@ -7,10 +8,11 @@ from itertools import groupby
 from math import floor, log10
 
 from pipeline.gradation.estimates import NOT_MEASURED, Estimate, State
+from pipeline.gradation.sieves import MeasuredRange
 from service.base.language import Language
 from service.lots.trends.changes import ChangedFigure
 from service.lots.trends.diary import DiaryEntry
-from service.lots.trends.trend import Trend, TrendBucket
+from service.lots.trends.trend import Trend, TrendBucket, trend
 from service.reports.drawing import (
     DRAWING_WIDTH,
     LABEL_SIZE,
@@ -65,6 +67,18 @@ Values = Sequence[tuple[datetime, Estimate]]
 def trend_svg(trend: Trend, figure: TrendFigure, language: Language, zone: tzinfo | None = None) -> str:
     """Return the drawing of one figure; clock times are of `zone`, by default the host's."""
     return svg(trend_drawing(trend, figure, words(language), zone), language)
+
+
+def stored_trend_svg(
+    connection: sqlite3.Connection,
+    now: str,
+    hours: float,
+    measured: MeasuredRange,
+    figure: TrendFigure,
+    language: Language,
+) -> str:
+    """Return the drawing of one figure over the last hours, made on a connection to the store."""
+    return trend_svg(trend(connection, now, hours, measured), figure, language)
 
 
 def trend_drawing(trend: Trend, figure: TrendFigure, say: Words, zone: tzinfo | None = None) -> Drawing:

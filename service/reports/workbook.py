@@ -181,10 +181,11 @@ def _laboratory(sheets: _Sheets, data: ReportData, say: Words) -> None:
     head = (say("laboratory.title"), *map(say, keys))
     sheet = sheets.add(say("xlsx.laboratory"), head, (24, 11, 16, 20, 16))
     raw = {step.sieve_mm: step.passing_percent.value for step in data.figures.curve}
+    correlated = data.figures.correlated_percent
     rows = [
-        (sieving.id, step.sieve_mm, raw.get(step.sieve_mm), step.correlated_percent, step.passing_percent)
+        (str(sieving.sieving), sieve_mm, raw.get(sieve_mm), correlated.get(sieve_mm), percent)
         for sieving in data.sievings
-        for step in sieving.steps
+        for sieve_mm, percent in sieving.document.passing_percent.items()
     ]
     sheets.write(sheet, 1, rows)
 

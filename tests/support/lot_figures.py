@@ -10,6 +10,8 @@ import numpy as np
 from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.specification import Verdict
 from service.lots.figures import (
+    CorrelatedCurve,
+    CorrelatedStep,
     CurveStep,
     Decision,
     FlatAndElongated,
@@ -22,14 +24,13 @@ from service.lots.figures import (
     ShapeIndices,
     Unmeasured,
 )
+from service.lots.laboratory import Sieving, StoredSieving
 from service.lots.lots import LotState
 from service.reports.report import (
     GalleryReason,
     GalleryStone,
-    LaboratorySieving,
     LastVerification,
     ReportData,
-    SievingStep,
     VerificationOutcome,
 )
 
@@ -176,6 +177,15 @@ def lot_figures(**changes: Any) -> LotFigures:
         "specification": "EN 13043 GC90/15",
         "specification_source": "EN 13043:2002, table 2",
         "curve": curve(),
+        "correlated": CorrelatedCurve(
+            version=2,
+            factor=1.01,
+            n_lots=3,
+            held_out_rmse=0.8,
+            curve=[
+                CorrelatedStep(sieve_mm=size_mm, passing_percent=measured(50.0)) for size_mm in (8.0, 10.0)
+            ],
+        ),
         "quantiles": [
             Quantile(
                 percent=percent,
@@ -245,18 +255,10 @@ def gallery() -> Sequence[GalleryStone]:
     ]
 
 
-def sieving() -> LaboratorySieving:
-    passing = {4.0: 2.8, 8.0: 12.0, 10.0: 36.1, 12.5: 62.4, 14.0: 80.2, 16.0: 93.5, 22.4: 100.0}
-    return LaboratorySieving(
-        id="L-221",
-        at="2026-11-20T11:30:00Z",
-        by="Labor Süd",
-        steps=[
-            SievingStep(sieve_mm=size_mm, passing_percent=percent, correlated_percent=percent - 0.3)
-            for size_mm, percent in passing.items()
-        ],
-        correlation="basalt-8-16/2",
-    )
+def sieving() -> StoredSieving:
+    retained_g = {4.0: 9.2, 8.0: 24.1, 10.0: 26.3, 12.5: 17.8, 14.0: 13.3, 16.0: 6.5, 22.4: 0.0}
+    document = Sieving(retained_g=retained_g, pan_g=2.8, by="Labor Süd")
+    return StoredSieving(sieving=221, lot="2026-04711", at="2026-11-20T11:30:00Z", document=document)
 
 
 def report_data(figures: Mapping[str, Any] | None = None, **changes: Any) -> ReportData:

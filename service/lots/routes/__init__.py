@@ -2,11 +2,4 @@
 
 from service.lots.routes import diary, laboratory, lot_figures, lots, products, windows
 
-ROUTERS = (
-    products.router,
-    lots.router,
-    lot_figures.router,
-    windows.router,
-    diary.router,
-    laboratory.router,
-)
+ROUTERS = (products.router, lots.router, lot_figures.router, windows.router, diary.router, laboratory.router)

@@ -8,7 +8,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.gradation.correlation import MappingForm
 from service.base.schema import TIME, Name
-from service.lots.documents import sieving_document, sievings_json
 from service.lots.laboratory import (
     MOST_SIEVES,
     Correlation,
@@ -18,6 +17,8 @@ from service.lots.laboratory import (
     correlations,
     keep_study,
     parse_table,
+    sieving_document,
+    sievings_json,
     study_of,
 )
 from service.lots.lots import find_lot

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, Field
 
-from service.lots.documents import lot_figures_json
+from service.lots.evaluation import as_json, lot_figures
 from service.lots.figures import LotFigures
 from service.lots.lots import find_lot
 from service.lots.products import find_product
@@ -83,17 +83,13 @@ Choosing = Annotated[Choice, Depends(choice_of)]
 
 
 @router.get("/{lot}/gradation", response_model=LotFigures)
-async def gradation(
-    context: Context,
-    lot: LotName,
-    measuring: Measuring,
-    choosing: Choosing,
-) -> Response:
+async def gradation(context: Context, lot: LotName, measuring: Measuring, choosing: Choosing) -> Response:
     """Get the gradation of a lot: through the sieves and specification of its product, or through any other.
 
     `without` and `algorithm_version` ask what they would be of other stones; the document repeats what was asked.
     """
-    content = await context.reading.run(read, context.store.path, lot_figures_json, lot, measuring, choosing)
+    given = (lot_figures, lot, measuring, choosing)
+    content = await context.reading.run(read, context.store.path, as_json, *given)
     return Response(existing(content, "lot", lot), media_type="application/json")
 
 

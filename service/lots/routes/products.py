@@ -9,18 +9,8 @@ from pydantic import BaseModel, Field
 
 from pipeline.gradation.sieves import SieveSet
 from service.base.ids import ID, NEW_ID
-from service.lots.products import (
-    Product,
-    ProductDefinition,
-    find_product,
-    products,
-    save_product,
-)
-from service.lots.yardsticks import (
-    Request,
-    specification_names,
-    yardstick_of,
-)
+from service.lots.products import Product, ProductDefinition, find_product, products, save_product
+from service.lots.yardsticks import Request, specification_names, yardstick_of
 from service.lots.yardsticks import standards as known_standards
 from service.web.auth import CONFIGURABLE, READABLE, Who
 from service.web.context import Context

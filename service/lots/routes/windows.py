@@ -7,7 +7,7 @@ from fastapi import APIRouter, Query, Response
 
 from pipeline.frames import rfc3339
 from service.base.ids import ID
-from service.lots.documents import window_figures_json
+from service.lots.evaluation import as_json, window_figures
 from service.lots.figures import LotFigures
 from service.lots.routes.lot_figures import Measuring
 from service.lots.shifts import LotsSettings, shift_at
@@ -25,10 +25,7 @@ ProductId = Annotated[str | None, Query(pattern=ID, description="Judge by this p
 
 @router.get("/current", response_model=LotFigures, responses=problem_responses(404))
 async def current_window(
-    context: Context,
-    measuring: Measuring,
-    minutes: Minutes = 60.0,
-    product: ProductId = None,
+    context: Context, measuring: Measuring, minutes: Minutes = 60.0, product: ProductId = None
 ) -> Response:
     """Get the figures of the last minutes: of all that fell, in any lot or in none."""
     return await _figures(context, *last_minutes(minutes), product, measuring)
@@ -60,7 +57,6 @@ def next_second() -> datetime:
 async def _figures(
     context: ApiContext, since: str, until: str, product: str | None, measuring: Request
 ) -> Response:
-    content = await context.reading.run(
-        read, context.store.path, window_figures_json, since, until, measuring, product
-    )
+    given = (window_figures, since, until, measuring, product)
+    content = await context.reading.run(read, context.store.path, as_json, *given)
     return Response(existing(content, "product", str(product)), media_type="application/json")

@@ -11,12 +11,7 @@ from pydantic import Field
 from pipeline.frames import rfc3339
 from pipeline.gradation.differences import Difference, difference_in_time, significant
 from pipeline.gradation.estimates import State
-from pipeline.gradation.influences import (
-    Influences,
-    rate_influences,
-    share_influences,
-    size_influences,
-)
+from pipeline.gradation.influences import Influences, rate_influences, share_influences, size_influences
 from pipeline.gradation.sieves import MeasuredRange
 from service.base.schema import TIME
 from service.base.status import Report

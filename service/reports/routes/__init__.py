@@ -2,9 +2,4 @@
 
 from service.reports.routes import curves, lot_reports, trends
 
-ROUTERS = (
-    lot_reports.router,
-    curves.router,
-    trends.router,
-    trends.diary,
-)
+ROUTERS = (lot_reports.router, curves.router, trends.router, trends.diary)

@@ -30,11 +30,7 @@ async def curve_request_of(
     measuring: Measuring,
     language: DrawingLanguage = Language.ENGLISH,
     beside_lot: Annotated[
-        str | None,
-        Query(
-            pattern=ID,
-            description="Draw the curve of this lot beside it, at the same sieves",
-        ),
+        str | None, Query(pattern=ID, description="Draw the curve of this lot beside it, at the same sieves")
     ] = None,
     beside_algorithm_version: Annotated[
         str | None,
@@ -75,11 +71,7 @@ async def lot_curve(
     "/windows/current/curve.svg", response_class=Response, responses={**SVG, **problem_responses(404)}
 )
 async def current_curve(
-    context: Context,
-    asked: HttpRequest,
-    wanted: Drawing,
-    minutes: Minutes = 60.0,
-    product: ProductId = None,
+    context: Context, asked: HttpRequest, wanted: Drawing, minutes: Minutes = 60.0, product: ProductId = None
 ) -> Response:
     """Draw the gradation curve of the last minutes: of all that fell, in any lot or in none."""
     name = minutes_name(minutes, wanted.language)

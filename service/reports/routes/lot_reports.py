@@ -58,11 +58,7 @@ async def report_file(
 
 
 async def _report(
-    context: ApiContext,
-    lot: str,
-    report_format: ReportFormat,
-    language: Language,
-    measuring: Request,
+    context: ApiContext, lot: str, report_format: ReportFormat, language: Language, measuring: Request
 ) -> Response:
     wanted = ReportRequest(figures=measuring, language=language, rig=context.part(RigStanding))
     store = context.store

@@ -8,16 +8,17 @@ from fastapi import Request as HttpRequest
 from pipeline.frames import rfc3339
 from service.base.ids import ID
 from service.base.language import Language
-from service.lots.comparing import LotComparison, Side
+from service.lots.comparing import LotComparison, Side, compare_lots
+from service.lots.evaluation import as_json
 from service.lots.lots import find_lot
 from service.lots.routes.lot_figures import Measuring
 from service.lots.routes.windows import next_second
 from service.lots.shifts import LotsSettings
 from service.lots.trends.changes import Changes
-from service.lots.trends.trend import Trend
+from service.lots.trends.trend import Trend, trend
+from service.reports.changes import told_changes
 from service.reports.routes.curves import DrawingLanguage
-from service.reports.trend import TrendFigure
-from service.reports.trend_answers import changes_json, comparison_json, trend_drawing, trend_json
+from service.reports.trend import TrendFigure, stored_trend_svg
 from service.web.auth import READABLE
 from service.web.context import Context
 from service.web.problems import existing, problem_responses
@@ -41,7 +42,7 @@ async def get_trends(context: Context, hours: Hours = 12.0) -> Response:
     measured stones every so many are looked at; `n_effective` and the intervals say so.
     """
     now, measured = rfc3339(next_second()), context.part(LotsSettings).measured
-    content = await shared(context, trend_json, now, hours, measured, keep_s=KEEP_S)
+    content = await shared(context, as_json, trend, now, hours, measured, keep_s=KEEP_S)
     return Response(content, media_type="application/json")
 
 
@@ -60,7 +61,7 @@ async def get_trend_drawing(
 ) -> Response:
     """Draw the trend of a figure: its line and 95 % interval over the last hours, the diary's marks, the lots."""
     now, measured = rfc3339(next_second()), context.part(LotsSettings).measured
-    text = await shared(context, trend_drawing, now, hours, measured, figure, language, keep_s=KEEP_S)
+    text = await shared(context, stored_trend_svg, now, hours, measured, figure, language, keep_s=KEEP_S)
     return svg_answer(asked, text or "")
 
 
@@ -72,8 +73,7 @@ async def compare(
     measuring: Measuring,
     a: LotId,
     b: Annotated[
-        str | None,
-        Query(pattern=ID, description="Id of the second lot; the first when absent"),
+        str | None, Query(pattern=ID, description="Id of the second lot; the first when absent")
     ] = None,
     a_algorithm_version: Annotated[
         str | None, Query(max_length=200, description="The first as this version measured it")
@@ -89,7 +89,7 @@ async def compare(
     for lot in (a, b or a):
         existing(await context.store.read(find_lot, lot), "lot", lot)
     sides = Side(a, a_algorithm_version), Side(b or a, b_algorithm_version)
-    content = await shared(context, comparison_json, *sides, measuring, keep_s=KEEP_S)
+    content = await shared(context, as_json, compare_lots, *sides, measuring, keep_s=KEEP_S)
     return Response(existing(content, "lot", a), media_type="application/json")
 
 
@@ -105,5 +105,5 @@ async def get_changes(
     the intervals allow for. Clock times in sentences are the host's.
     """
     now, measured = rfc3339(next_second()), context.part(LotsSettings).measured
-    content = await shared(context, changes_json, now, hours, measured, language, keep_s=KEEP_S)
+    content = await shared(context, as_json, told_changes, now, hours, measured, language, keep_s=KEEP_S)
     return Response(content, media_type="application/json")

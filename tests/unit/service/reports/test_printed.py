@@ -154,7 +154,13 @@ def test_a_report_says_all_that_is_signed_for() -> None:
 
 def test_the_pdf_says_the_same_on_numbered_pages() -> None:
     text = pdf_text(report_data())
-    for said in ("Gradation of lot 2026-04711", "EN 13043 GC90/15", "not measured", "92.2 – 96.2", "L-221"):
+    for said in (
+        "Gradation of lot 2026-04711",
+        "EN 13043 GC90/15",
+        "not measured",
+        "92.2 – 96.2",
+        "Sieving 221",
+    ):
         assert said in text
     assert "Page 1 of 4" in text
     assert "Page 4 of 4" in text
