@@ -12,14 +12,20 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.base.schema import TIME, always_present
+from service.base.schema import Time, always_present
 
 ONLY_IF_MEASURED = "null unless measured"
 """Marks a field that is null unless the outcome is `measured`."""
 INDEXED = "indexed"
 """Marks a field that results are searched, listed or counted by: a column of `service.store.indexed_fields`."""
+STORED = "stored"
+"""Marks a field that a result gets when it becomes durable."""
+LEAN = "lean"
+"""Marks a field of the choice `fields=lean`."""
 T = TypeVar("T")
 Indexed = Annotated[T, INDEXED]
+Stored = Annotated[T, STORED]
+Lean = Annotated[T, LEAN]
 
 ALWAYS = ("seq", "id", "revision", "kind", "outcome", "is_simulated", "is_replay")
 """Fields that are in every answer, whichever are chosen: what is not production must never be billed as such."""
@@ -97,10 +103,6 @@ class RecordedOptics(BaseModel):
     )
 
 
-def _measured(description: str) -> Any:
-    return Field(default=None, description=description)
-
-
 Number = Annotated[float | None, ONLY_IF_MEASURED]
 Numbers = Annotated[list[float] | None, ONLY_IF_MEASURED]
 Text = Annotated[str | None, ONLY_IF_MEASURED]
@@ -128,213 +130,173 @@ class Result(BaseModel):
     All fields are there, unless the request chose some with `fields`.
     """
 
-    model_config = ConfigDict(extra="allow", json_schema_extra=chosen_present)
+    model_config = ConfigDict(extra="allow", json_schema_extra=chosen_present, use_attribute_docstrings=True)
 
-    seq: int = Field(description="Place in the feed: strictly increasing, without gaps, never reused")
-    id: str = Field(
-        description="Of the stone, unique across stores: the key to store it by. Its revisions have the same"
-    )
-    revision: int = Field(
-        default=1,
-        description="1: the first result of the stone; higher: it was measured again, and this takes the place of what"
-        " was said of it before",
-    )
-    revises: int | None = Field(
-        default=None, description="`seq` of the item that this one takes the place of; null for the first"
-    )
-    session: int = Field(description="Run of the daemon in which the trigger came")
-    bundle: str = Field(description="Name of the bundle of images")
-    sequence: int = Field(description="The light gate's own count; a gap reveals lost triggers")
-    kind: Indexed[Literal["particle", "ball"]] = Field(description="What was exposed")
-    n_stones: int = Field(
-        default=1,
-        description="Stones that this outcome is of: 1, but for a loss of many together, of which only the light gate's"
-        " counter knows: add them up",
-    )
-    captured_at: Indexed[str] = Field(
-        description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME
-    )
-    recorded_at: str = Field(description="When the outcome became durable", json_schema_extra=TIME)
-    time_is_doubtful: bool | None = Field(
-        default=None,
-        description="True when the host's clock was not set: `captured_at` or `recorded_at` is before 2026",
-    )
-    outcome: Indexed[Literal[Outcome.MEASURED, Outcome.REJECTED, Outcome.LOST]] = Field(
-        description="`measured`: the stone has a body and its measures; `rejected`: the views were looked at and found"
-        " unfit; `lost`: they were never looked at"
-    )
-    reason: Indexed[str | None] = Field(
-        default=None, description="Why rejected or lost, one word; null when measured"
-    )
-    detail: str | None = Field(default=None, description="The reason for people")
-    quality: Indexed[Literal["good", "reduced", "degraded"] | None] = Field(
-        default=None,
-        description="How far from the truth the result may be, by `[quality]` and by the number of views",
-    )
-    quality_causes: Indexed[list[QualityCause]] = Field(
-        default=[], description="Why the quality is not `good`, the greatest cause first"
-    )
-    views: list[str] = Field(default=[], description="Cameras whose views were measured")
-    dropped_views: dict[str, str] = Field(
-        default={}, description="Cameras whose views were not used, each with the reason"
-    )
-    segmenters: dict[str, str] = Field(
-        default={}, description="Segmenter that found the outline in each view: background, network or u2net"
-    )
-    segmentation_flags: dict[str, str] = Field(
-        default={},
-        description="Cameras whose view another segmenter than the first decided, each with the reason",
-    )
-    body: Indexed[Annotated[Literal["photo", "estimate", "hull"] | None, ONLY_IF_MEASURED]] = _measured(
-        "Body that mesh and shape describe: the estimate refined by the pixels inside the outlines, the estimate, or"
-        " the visual hull"
-    )
-    supported_share: Number = _measured(
-        "Share of the surface, 0 to 1, that those pixels say something about; null when they were not examined"
-    )
-    refinement_fallback: Indexed[Text] = _measured(
-        "Why the estimate was not refined although `[body] kind` is `photo`; null when it was, or need not be"
-    )
-    volume_mm3: Indexed[Number] = _measured(
-        "Volume, corrected by the gap between hull and estimate (without one, as a sphere's hull, or not at all:"
-        " see `volume_model`), mm³"
-    )
-    volume_sd_percent: Indexed[Number] = _measured(
-        "Standard deviation of `volume_mm3`, %, dents that no silhouette shows included"
-    )
-    surface_sd_mm: Indexed[Number] = _measured(
-        "Standard deviation of the mesh's distance to the stone's surface, mm"
-    )
-    volume_raw_mm3: Number = _measured("Volume of the visual hull, mm³")
-    volume_estimate_mm3: Number = _measured(
-        "Volume of the estimated body's mesh, mm³; null when nothing is estimated"
-    )
-    volume_model: Text = _measured(
-        "Id of the coefficients that `volume_mm3` is corrected with; `sphere`: as a sphere's hull; `none`: it is not"
-    )
-    surface_area_mm2: Number = _measured("Surface area of the mesh, mm²")
-    length_mm: Indexed[Number] = _measured("Greatest dimension (ASTM D4791 length), mm")
-    width_mm: Indexed[Number] = _measured(
-        "Greatest dimension at right angles to the length (ASTM D4791 width), mm"
-    )
-    thickness_mm: Indexed[Number] = _measured("Dimension at right angles to both (ASTM D4791 thickness), mm")
-    max_feret_mm: Indexed[Number] = _measured(
-        "Greatest distance of two parallel tangent planes (EN 933-4 length L), mm"
-    )
-    min_feret_mm: Indexed[Number] = _measured(
-        "Least distance of two parallel tangent planes (EN 933-4 thickness E), mm"
-    )
-    min_box_mm: Numbers = _measured("Edges a >= b >= c of the box of least volume, mm")
-    sieve_size_mm: Indexed[Number] = _measured(
-        "Smallest square aperture the body passes in its best orientation (square holes of EN 933-2), mm"
-    )
-    equivalent_diameter_mm: Number = _measured("Diameter of the sphere of `volume_mm3`: (6 V / pi)^(1/3), mm")
-    equivalent_diameter_raw_mm: Number = _measured("Diameter of the sphere of `volume_raw_mm3`, mm")
-    sphericity: Number = _measured(
-        "Wadell's sphericity: area of the sphere of equal volume by surface area A of the mesh,"
-        " pi^(1/3) (6 V)^(2/3) / A, 0..1; 1: a sphere"
-    )
-    convexity: Number = _measured(
-        "Volume of the mesh by volume of its convex hull, 0..1; an upper bound unless `body` is `photo`, as silhouettes"
-        " show no dents"
-    )
-    elongation_ratio: Number = _measured(
-        "Zingg's elongation ratio b / a, of the edges a >= b >= c in `min_box_mm`, 0..1; 1: as wide as long"
-    )
-    flatness_ratio: Number = _measured(
-        "Zingg's flatness ratio c / b, of the edges in `min_box_mm`, 0..1; 1: as thick as wide"
-    )
-    zingg_class: Indexed[Text] = _measured(
-        "Zingg's form: `equant` with b / a and c / b above 2/3, `disc` with b / a alone, `rod` with c / b alone,"
-        " `blade` with neither"
-    )
-    krumbein: Number = _measured(
-        "Krumbein's intercept sphericity (b c / a²)^(1/3), of the edges in `min_box_mm`, 0..1"
-    )
-    corey: Number = _measured("Corey's shape factor c / sqrt(a b), of the edges in `min_box_mm`, 0..1")
-    angularity: Number = _measured(
-        "Gradient angularity after AASHTO T 381, with squares: the sum over 180 points of an outline of the squared"
-        " change of its direction, degrees², / 59; mean over the views, 0..10000. A circle has 110, a square 1115. Not"
-        " comparable with values of an AIMS device"
-    )
-    mass_g: Number = _measured("Mass at the configured density, g; null without a density")
-    center_mm: Numbers = _measured("Centroid in the rig's frame (x, y, z up), mm")
-    hull: Annotated[Hull | None, ONLY_IF_MEASURED] = _measured("The visual hull, uncorrected")
-    gate_extent_mm: float | None = Field(
-        default=None,
-        description="Vertical extent at the light gate, from the time its beam was closed, mm; null when unknown",
-    )
-    gate_extent_is_plausible: bool | None = Field(
-        default=None,
-        description="Whether the measured body fits the time the beam was closed; null when there is nothing to"
-        " compare. False: two stones in a row, a dirty beam, or a wrong measurement",
-    )
-    mesh: str | None = Field(
-        default=None, description="Address of the mesh, relative to the base path; null without one"
-    )
-    view_residuals_px: dict[str, float] = Field(
-        default={}, description="By how much each outline leaves the hull of the other views, rms, px"
-    )
-    tangency_px: dict[str, float] = Field(
-        default={},
-        description="Epipolar residual of each camera, the median over its pairs, px;"
-        " from 0.3 the camera has moved",
-    )
-    image_shifts_px: dict[str, list[float]] = Field(
-        default={},
-        description="Shift (u, v) of the stone in each camera's image from where the other views expect it, px",
-    )
-    optics: dict[str, RecordedOptics] = Field(default={}, description="How well each camera saw this stone")
-    timings_ms: dict[str, float] = Field(default={}, description="Computing time of each stage, ms")
-    calibration_id: Indexed[str | None] = Field(
-        default=None, description="Calibration that was measured with"
-    )
-    verification: Verified | None = Field(
-        default=None, description="What the last balls said of the rig when the stone was measured"
-    )
-    algorithm_version: Indexed[str | None] = Field(default=None, description="Changes whenever results may")
-    is_simulated: Indexed[bool | None] = Field(default=None, description="True when the images are synthetic")
-    is_replay: Indexed[bool | None] = Field(
-        default=None, description="True when no stone fell: a recording was played, or the rig is simulated"
-    )
-    lot: str | None = Field(
-        default=None,
-        description="Lot that the stone is in now: it may be assigned later; null outside of any",
-    )
-    files_removed: Literal["age", "space"] | None = Field(
-        default=None,
-        description="Why mesh, silhouettes and images were removed by `[store.retention]`; null when they were not",
-    )
-    is_pinned: bool = Field(
-        default=False, description="True when result and files are kept whatever their age"
-    )
-    pin_reason: str | None = Field(default=None, description="Why it is pinned; null when it is not")
+    seq: Stored[int]
+    """Place in the feed: strictly increasing, without gaps, never reused"""
+    id: Stored[str]
+    """Of the stone, unique across stores: the key to store it by. Its revisions have the same"""
+    revision: Stored[int] = 1
+    """1: the first result of the stone; higher: it was measured again, and this takes the place of what was
+    said of it before"""
+    revises: Stored[Lean[int | None]] = None
+    """`seq` of the item that this one takes the place of; null for the first"""
+    session: Stored[int]
+    """Run of the daemon in which the trigger came"""
+    bundle: str
+    """Name of the bundle of images"""
+    sequence: int
+    """The light gate's own count; a gap reveals lost triggers"""
+    kind: Indexed[Literal["particle", "ball"]]
+    """What was exposed"""
+    n_stones: Lean[int] = 1
+    """Stones that this outcome is of: 1, but for a loss of many together, of which only the light gate's
+    counter knows: add them up"""
+    captured_at: Lean[Indexed[Time]]
+    """When the stone was exposed, RFC 3339 UTC"""
+    recorded_at: Stored[Lean[Time]]
+    """When the outcome became durable"""
+    time_is_doubtful: Stored[Lean[bool | None]] = None
+    """True when the host's clock was not set: `captured_at` or `recorded_at` is before 2026"""
+    outcome: Indexed[Literal[Outcome.MEASURED, Outcome.REJECTED, Outcome.LOST]]
+    """`measured`: the stone has a body and its measures; `rejected`: the views were looked at and found unfit;
+    `lost`: they were never looked at"""
+    reason: Lean[Indexed[str | None]] = None
+    """Why rejected or lost, one word; null when measured"""
+    detail: str | None = None
+    """The reason for people"""
+    quality: Lean[Indexed[Literal["good", "reduced", "degraded"] | None]] = None
+    """How far from the truth the result may be, by `[quality]` and by the number of views"""
+    quality_causes: Indexed[list[QualityCause]] = []
+    """Why the quality is not `good`, the greatest cause first"""
+    views: list[str] = []
+    """Cameras whose views were measured"""
+    dropped_views: dict[str, str] = {}
+    """Cameras whose views were not used, each with the reason"""
+    segmenters: dict[str, str] = {}
+    """Segmenter that found the outline in each view: background, network or u2net"""
+    segmentation_flags: dict[str, str] = {}
+    """Cameras whose view another segmenter than the first decided, each with the reason"""
+    body: Indexed[Annotated[Literal["photo", "estimate", "hull"] | None, ONLY_IF_MEASURED]] = None
+    """Body that mesh and shape describe: the estimate refined by the pixels inside the outlines, the estimate,
+    or the visual hull"""
+    supported_share: Number = None
+    """Share of the surface, 0 to 1, that those pixels say something about; null when they were not examined"""
+    refinement_fallback: Indexed[Text] = None
+    """Why the estimate was not refined although `[body] kind` is `photo`; null when it was, or need not be"""
+    volume_mm3: Lean[Indexed[Number]] = None
+    """Volume, corrected by the gap between hull and estimate (without one, as a sphere's hull, or not at all:
+    see `volume_model`), mm³"""
+    volume_sd_percent: Lean[Indexed[Number]] = None
+    """Standard deviation of `volume_mm3`, %, dents that no silhouette shows included"""
+    surface_sd_mm: Lean[Indexed[Number]] = None
+    """Standard deviation of the mesh's distance to the stone's surface, mm"""
+    volume_raw_mm3: Number = None
+    """Volume of the visual hull, mm³"""
+    volume_estimate_mm3: Number = None
+    """Volume of the estimated body's mesh, mm³; null when nothing is estimated"""
+    volume_model: Text = None
+    """Id of the coefficients that `volume_mm3` is corrected with; `sphere`: as a sphere's hull; `none`: it is
+    not"""
+    surface_area_mm2: Number = None
+    """Surface area of the mesh, mm²"""
+    length_mm: Lean[Indexed[Number]] = None
+    """Greatest dimension (ASTM D4791 length), mm"""
+    width_mm: Lean[Indexed[Number]] = None
+    """Greatest dimension at right angles to the length (ASTM D4791 width), mm"""
+    thickness_mm: Lean[Indexed[Number]] = None
+    """Dimension at right angles to both (ASTM D4791 thickness), mm"""
+    max_feret_mm: Lean[Indexed[Number]] = None
+    """Greatest distance of two parallel tangent planes (EN 933-4 length L), mm"""
+    min_feret_mm: Lean[Indexed[Number]] = None
+    """Least distance of two parallel tangent planes (EN 933-4 thickness E), mm"""
+    min_box_mm: Numbers = None
+    """Edges a >= b >= c of the box of least volume, mm"""
+    sieve_size_mm: Lean[Indexed[Number]] = None
+    """Smallest square aperture the body passes in its best orientation (square holes of EN 933-2), mm"""
+    equivalent_diameter_mm: Lean[Number] = None
+    """Diameter of the sphere of `volume_mm3`: (6 V / pi)^(1/3), mm"""
+    equivalent_diameter_raw_mm: Number = None
+    """Diameter of the sphere of `volume_raw_mm3`, mm"""
+    sphericity: Number = None
+    """Wadell's sphericity: area of the sphere of equal volume by surface area A of the mesh, pi^(1/3) (6
+    V)^(2/3) / A, 0..1; 1: a sphere"""
+    convexity: Number = None
+    """Volume of the mesh by volume of its convex hull, 0..1; an upper bound unless `body` is `photo`, as
+    silhouettes show no dents"""
+    elongation_ratio: Number = None
+    """Zingg's elongation ratio b / a, of the edges a >= b >= c in `min_box_mm`, 0..1; 1: as wide as long"""
+    flatness_ratio: Number = None
+    """Zingg's flatness ratio c / b, of the edges in `min_box_mm`, 0..1; 1: as thick as wide"""
+    zingg_class: Indexed[Text] = None
+    """Zingg's form: `equant` with b / a and c / b above 2/3, `disc` with b / a alone, `rod` with c / b alone,
+    `blade` with neither"""
+    krumbein: Number = None
+    """Krumbein's intercept sphericity (b c / a²)^(1/3), of the edges in `min_box_mm`, 0..1"""
+    corey: Number = None
+    """Corey's shape factor c / sqrt(a b), of the edges in `min_box_mm`, 0..1"""
+    angularity: Number = None
+    """Gradient angularity after AASHTO T 381, with squares: the sum over 180 points of an outline of the
+    squared change of its direction, degrees², / 59; mean over the views, 0..10000. A circle has 110, a square
+    1115. Not comparable with values of an AIMS device"""
+    mass_g: Lean[Number] = None
+    """Mass at the configured density, g; null without a density"""
+    center_mm: Numbers = None
+    """Centroid in the rig's frame (x, y, z up), mm"""
+    hull: Annotated[Hull | None, ONLY_IF_MEASURED] = None
+    """The visual hull, uncorrected"""
+    gate_extent_mm: float | None = None
+    """Vertical extent at the light gate, from the time its beam was closed, mm; null when unknown"""
+    gate_extent_is_plausible: bool | None = None
+    """Whether the measured body fits the time the beam was closed; null when there is nothing to compare.
+    False: two stones in a row, a dirty beam, or a wrong measurement"""
+    mesh: str | None = None
+    """Address of the mesh, relative to the base path; null without one"""
+    view_residuals_px: dict[str, float] = {}
+    """By how much each outline leaves the hull of the other views, rms, px"""
+    tangency_px: dict[str, float] = {}
+    """Epipolar residual of each camera, the median over its pairs, px; from 0.3 the camera has moved"""
+    image_shifts_px: dict[str, list[float]] = {}
+    """Shift (u, v) of the stone in each camera's image from where the other views expect it, px"""
+    optics: dict[str, RecordedOptics] = {}
+    """How well each camera saw this stone"""
+    timings_ms: dict[str, float] = {}
+    """Computing time of each stage, ms"""
+    calibration_id: Lean[Indexed[str | None]] = None
+    """Calibration that was measured with"""
+    verification: Stored[Lean[Verified | None]] = None
+    """What the last balls said of the rig when the stone was measured"""
+    algorithm_version: Indexed[str | None] = None
+    """Changes whenever results may"""
+    is_simulated: Indexed[bool | None] = None
+    """True when the images are synthetic"""
+    is_replay: Stored[Indexed[bool | None]] = None
+    """True when no stone fell: a recording was played, or the rig is simulated"""
+    lot: Stored[Lean[str | None]] = None
+    """Lot that the stone is in now: it may be assigned later; null outside of any"""
+    files_removed: Stored[Literal["age", "space"] | None] = None
+    """Why mesh, silhouettes and images were removed by `[store.retention]`; null when they were not"""
+    is_pinned: Stored[bool] = False
+    """True when result and files are kept whatever their age"""
+    pin_reason: Stored[str | None] = None
+    """Why it is pinned; null when it is not"""
 
 
-MEASURED_FIELDS = tuple(
-    name for name, field in Result.model_fields.items() if ONLY_IF_MEASURED in field.metadata
-)
+def _marked(mark: str) -> tuple[str, ...]:
+    return tuple(name for name, field in Result.model_fields.items() if mark in field.metadata)
+
+
+MEASURED_FIELDS = _marked(ONLY_IF_MEASURED)
 """Fields that are null unless the outcome is `measured`."""
 
-INDEXED_FIELDS = tuple(name for name, field in Result.model_fields.items() if INDEXED in field.metadata)
+INDEXED_FIELDS = _marked(INDEXED)
 """Fields that results are searched, listed or counted by."""
 
-STORED_FIELDS = (
-    "seq",
-    "id",
-    "revision",
-    "revises",
-    "session",
-    "recorded_at",
-    "time_is_doubtful",
-    "verification",
-    "is_replay",
-    "lot",
-    "files_removed",
-    "is_pinned",
-    "pin_reason",
-)
+STORED_FIELDS = _marked(STORED)
 """Fields that a result gets when it becomes durable; `results.jsonl` lacks them."""
+
+LEAN_FIELDS = frozenset({*ALWAYS, *_marked(LEAN)})
+"""What a MES needs of a stone: identity, outcome, sizes, mass and how far to trust them."""
 
 EMPTY: Mapping[str, Any] = {
     name: None if field.is_required() else field.default for name, field in Result.model_fields.items()

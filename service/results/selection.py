@@ -3,36 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from service.results.fields import ALWAYS, Result, completed
-
-LEAN_NAME = "lean"
-LEAN = frozenset(
-    {
-        *ALWAYS,
-        "revises",
-        "n_stones",
-        "captured_at",
-        "recorded_at",
-        "time_is_doubtful",
-        "reason",
-        "quality",
-        "lot",
-        "sieve_size_mm",
-        "length_mm",
-        "width_mm",
-        "thickness_mm",
-        "max_feret_mm",
-        "min_feret_mm",
-        "equivalent_diameter_mm",
-        "volume_mm3",
-        "volume_sd_percent",
-        "surface_sd_mm",
-        "mass_g",
-        "calibration_id",
-        "verification",
-    }
-)
-"""What a MES needs of a stone: identity, outcome, sizes, mass and how far to trust them."""
+from service.results.fields import ALWAYS, LEAN, LEAN_FIELDS, Result, completed
 
 
 class UnknownFieldsError(ValueError):
@@ -40,7 +11,7 @@ class UnknownFieldsError(ValueError):
 
     def __init__(self, names: Sequence[str]) -> None:
         known = ", ".join(Result.model_fields)
-        super().__init__(f"no result has {', '.join(map(repr, names))}; there are `{LEAN_NAME}`, {known}")
+        super().__init__(f"no result has {', '.join(map(repr, names))}; there are `{LEAN}`, {known}")
 
 
 def chosen_fields(text: str) -> tuple[str, ...]:
@@ -49,9 +20,9 @@ def chosen_fields(text: str) -> tuple[str, ...]:
     An `UnknownFieldsError` names those that there are not.
     """
     names = {name.strip() for name in text.split(",")} - {""}
-    if unknown := sorted(names - {LEAN_NAME, *Result.model_fields}):
+    if unknown := sorted(names - {LEAN, *Result.model_fields}):
         raise UnknownFieldsError(unknown)
-    wanted = names.union(ALWAYS, LEAN if LEAN_NAME in names else ())
+    wanted = names.union(ALWAYS, LEAN_FIELDS if LEAN in names else ())
     return tuple(name for name in Result.model_fields if name in wanted)
 
 

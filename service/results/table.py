@@ -30,7 +30,8 @@ def _rows(schema: Mapping[str, Any], definitions: Mapping[str, Any], prefix: str
             null = "unless measured"
         elif len(kinds) > 1:
             null = "yes"
-        yield f"| `{prefix}{name}` | {_type(kind, definitions)} | {null} | {field.get('description', '')} |"
+        meaning = " ".join(field.get("description", "").split())
+        yield f"| `{prefix}{name}` | {_type(kind, definitions)} | {null} | {meaning} |"
         if "properties" in kind:
             yield from _rows(kind, definitions, f"{prefix}{name}.")
         elif (values := _map_values(kind, definitions)) is not None and "properties" in values:

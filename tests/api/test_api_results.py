@@ -13,8 +13,7 @@ from support.outcomes import add, measured, rejected
 from support.rest import assert_problem
 
 from service.particles.routes.results import ResultsPage
-from service.results.fields import ALWAYS, MEASURED_FIELDS, Result
-from service.results.selection import LEAN
+from service.results.fields import ALWAYS, LEAN_FIELDS, MEASURED_FIELDS, Result
 from service.store import Store
 
 
@@ -132,7 +131,7 @@ async def test_a_lean_feed_has_less_than_a_kilobyte_a_result(
     await add(store, session, 1, measured(**numbers, quality="degraded", calibration_id="0123456789abcdef"))
     answer = await client.get("/results", params={"fields": "lean"})
     (item,) = answer.json()["items"]
-    assert list(item) == [name for name in Result.model_fields if name in LEAN]
+    assert list(item) == [name for name in Result.model_fields if name in LEAN_FIELDS]
     assert (item["mass_g"], item["is_simulated"], item["is_replay"]) == (10000 / 7, True, True)
     assert len(answer.content) < 1000
 
@@ -146,7 +145,7 @@ async def test_fields_are_chosen_and_unknown_ones_named(
         (item,) = (await client.get(path, params={"fields": "mass_g, lot"})).json()["items"]
         assert item == {name: whole[name] for name in (*ALWAYS, "mass_g", "lot")}
         (item,) = (await client.get(path, params={"fields": "lean,optics"})).json()["items"]
-        assert set(item) == LEAN | {"optics"}
+        assert set(item) == LEAN_FIELDS | {"optics"}
         assert set(whole) >= set(Result.model_fields)
         refused = await client.get(path, params={"fields": "mass_g,weight,colour"})
         assert_problem(refused, 422, "invalid-request")
