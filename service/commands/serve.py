@@ -15,7 +15,7 @@ from service.acquisition.device_keeper import CONTROL_THREAD_SUFFIX
 from service.base.errors import SettingsError
 from service.daemon.systemd import configure_logging, service_manager
 from service.host.machine import FILES
-from service.processing.fork_server import import_for_workers
+from service.processing.worker_process import import_for_workers
 
 log = logging.getLogger(__name__)
 

@@ -4,7 +4,9 @@ import asyncio
 import logging
 import time
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import asdict
+from typing import Any
 
 from prometheus_client import Histogram
 
@@ -32,10 +34,9 @@ from service.health.optical_watch import OpticalWatch
 from service.health.refinement_watch import RefinementWatch
 from service.health.rig_watch import RigWatch
 from service.health.segmentation_watch import SegmentationWatch
-from service.processing.background_keeping import KeptBackground
+from service.processing.background_files import KeptBackground
 from service.processing.bundle_files import BundleFiles
 from service.processing.measure_job import WorkerContext, prepare
-from service.processing.observers import WatchedResults
 from service.processing.processing import Processing, ProcessingContext, ProcessingObserver
 from service.processing.segmenters import SegmenterPlan
 from service.processing.spool import Spool
@@ -218,6 +219,10 @@ def _build_processing(
 ) -> Processing:
     settings, belt = session.settings, session.devices.belt
 
+    def on_result(record: Mapping[str, Any]) -> None:
+        for watch in (watches.rig, watches.optics, watches.refinement):
+            watch.feed(record)
+
     def on_outcome(delay_s: float) -> None:
         if belt is None:  # a replay has a clock of its own
             delays.observe(delay_s)
@@ -237,12 +242,13 @@ def _build_processing(
         ),
         spool=spool,
         pool=pool,
-        results=WatchedResults(session.store, watches.rig, watches.optics, watches.refinement),
+        results=session.store,
         calibration=calibrations,
         observer=ProcessingObserver(
             on_progress=lambda: watches.progress.beat(Watched.PROCESSING, time.monotonic()),
             on_empty_rig=watches.optics.feed_optics,
-            on_network=watches.segmentation.feed,
+            on_result=on_result,
+            on_measured=watches.segmentation.feed,
             on_outcome=on_outcome,
         ),
         quarantine=session.quarantine,

@@ -75,7 +75,11 @@ def parts_of(daemon: Daemon, file_drop: FileDrop, reading: Reading, requests: St
             checks=daemon.acquisition.checks,
         ),
         Part(checks=lambda: {"progress": watches.progress.check(time.monotonic())}),
-        Part(checks=lambda: watches.segmentation.checks(has_background=daemon.processing.has_background)),
+        Part(
+            checks=lambda: watches.segmentation.checks(
+                has_background=daemon.processing.background is not None
+            )
+        ),
         Part(checks=watches.rig.checks),
         Part(checks=watches.optics.checks, use=lambda new: watches.optics.use(new.optics)),
         Part(checks=watches.refinement.checks),

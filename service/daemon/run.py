@@ -25,7 +25,7 @@ from service.daemon.running_daemon import Daemon
 from service.daemon.session import Session
 from service.daemon.stopping import StopRequests
 from service.daemon.systemd import EXTENSION_US, ServiceManager, feed_watchdog, reloading
-from service.processing.process_memory import freeze_gc, keep_freed_memory
+from service.processing.worker_process import freeze_gc, keep_freed_memory
 from service.store import Store, open_store
 from service.store.accounting import accounting
 from service.store.trouble import TroubleCause, trouble_of

@@ -6,8 +6,9 @@ the CPU or without the network, and health warns.
 
 from collections import deque
 
+from pipeline.segmentation.silhouette import FoundBy
 from service.base.status import Checks, trouble_check
-from service.processing.measure_job import NetworkUse
+from service.processing.measure_job import MeasuredBundle
 from service.processing.segmenters import SegmenterPlan
 
 WINDOW = 20
@@ -15,16 +16,17 @@ WINDOW = 20
 
 
 class SegmentationWatch:
-    """Watches the network: `feed` it the use of the network in every measured bundle."""
+    """Watches the network: `feed` it every measured bundle."""
 
     def __init__(self, plan: SegmenterPlan) -> None:
         self._plan = plan
         self._troubles: deque[str | None] = deque(maxlen=WINDOW)
 
-    def feed(self, use: NetworkUse) -> None:
+    def feed(self, measured: MeasuredBundle) -> None:
         """Take one measured bundle into account, unless it was measured without the network."""
-        if use.trouble is not None or use.is_source:
-            self._troubles.append(use.trouble)
+        trouble, found_by = measured.network_trouble, measured.record["segmenters"].values()
+        if trouble is not None or any(segmenter != FoundBy.BACKGROUND for segmenter in found_by):
+            self._troubles.append(trouble)
 
     def checks(self, *, has_background: bool) -> Checks:
         """Check what outlines are found with: the background, which a network does without, and the network."""

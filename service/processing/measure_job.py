@@ -33,14 +33,12 @@ from pipeline.segmentation.background import learn_background as learn
 from pipeline.segmentation.mask_segmenter import MaskSegmenter
 from pipeline.segmentation.optics import observe_all
 from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
-from pipeline.segmentation.silhouette import FoundBy
 from pipeline.view_mapper import ViewMapper
 from pipeline.views import consistency
 from service.base.errors import WorkerFailure
 from service.processing.background_files import read_background, write_background
-from service.processing.process_memory import keep_freed_memory
 from service.processing.segmenters import CLASSICAL, SegmenterPlan, build_segmenter, warm_up
-from service.processing.worker_process import WarmUp, worker_boundary
+from service.processing.worker_process import WarmUp, keep_freed_memory, worker_boundary
 from service.results.record import optics_record, result_record
 from service.results.refinement import RUSH
 
@@ -87,21 +85,11 @@ class MeasureJob:
 
 
 @dataclass(frozen=True, slots=True)
-class NetworkUse:
-    """Use of the segmentation network in one bundle."""
-
-    is_source: bool
-    """Whether the network found a silhouette of the bundle."""
-    trouble: str | None
-    """Why it does not run as configured, None if it does or was not needed."""
-
-
-@dataclass(frozen=True, slots=True)
 class MeasuredBundle:
-    """The result record of one bundle, and the use of the network in it."""
+    """The result record of one bundle, and why the segmentation network did not run as configured, if it did not."""
 
     record: dict[str, Any]
-    network: NetworkUse
+    network_trouble: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -261,15 +249,8 @@ def measure(job: MeasureJob) -> MeasuredBundle:
     record["mesh"] = None if result.mesh is None else MESH
     if skips_refinement and result.measurement is not None:
         record["refinement_fallback"] = RUSH
-    return MeasuredBundle(record, _network_use(result))
-
-
-def _network_use(result: ParticleResult) -> NetworkUse:
     seen = result.silhouettes.values()
-    return NetworkUse(
-        is_source=any(silhouette.found_by is not FoundBy.BACKGROUND for silhouette in seen),
-        trouble=next((silhouette.network_trouble for silhouette in seen if silhouette.network_trouble), None),
-    )
+    return MeasuredBundle(record, next((view.network_trouble for view in seen if view.network_trouble), None))
 
 
 @contextmanager

@@ -17,16 +17,15 @@ from typing import Any, Protocol
 
 from drivers.errors import RecordingError
 from pipeline.frames import BundleKind, CameraId
-from service.processing.background_keeping import KeptBackground
-from service.processing.background_versions import BackgroundVersions, LearntBackground
+from service.processing.background_files import KeptBackground
+from service.processing.background_versions import BackgroundVersions, LearntBackground, complete
 from service.processing.job_pool import JobPool
-from service.processing.left_bundles import BACKGROUND, job_folder
+from service.processing.left_bundles import job_folder
 from service.processing.measure_job import (
     RESULT_FILES,
     LearnJob,
     MeasuredBundle,
     MeasureJob,
-    NetworkUse,
     RigFile,
     learn_background,
     measure,
@@ -40,7 +39,6 @@ from service.results.record import lost_record
 log = logging.getLogger(__name__)
 
 SHUTDOWN = Loss(reason=LossReason.SHUTDOWN, detail="the daemon was stopped before this bundle was measured")
-
 
 RUSH_SHARE = 0.5
 """Bundles that wait, for each worker, beyond which the next body is not refined."""
@@ -122,7 +120,8 @@ class ProcessingObserver:
 
     on_progress: Callable[[], None]  # after every commit and at no other time
     on_empty_rig: Callable[[Mapping[str, Any]], None] = lambda optics: None  # optics of each exposure of it
-    on_network: Callable[[NetworkUse], None] = lambda use: None  # in each measured bundle
+    on_result: Callable[[Record], None] = lambda record: None  # each one, in their order, once it is durable
+    on_measured: Callable[[MeasuredBundle], None] = lambda measured: None  # each measured or rejected one
     on_outcome: Callable[[float], None] = lambda delay_s: None  # from each trigger to its durable outcome
 
 
@@ -133,28 +132,19 @@ class _Measured:
     keep_drop: KeepDrop | None
 
 
-@dataclass(frozen=True, slots=True)
-class JobInputs:
-    """Calibration, collector and background in use when a bundle's turn began."""
-
-    rig_file: RigFile
-    collector: CollectsDrops | None
-    background: Path | None
+_Outcome = _Measured | LearntBackground | Loss
 
 
 @dataclass(frozen=True, slots=True)
 class _Turn:
-    bundle: SpooledBundle
-    inputs: JobInputs
-    retired: tuple[Path, ...]  # versions of the background that neither this job nor a later one uses
-    job: asyncio.Task[_Measured | LearntBackground | Loss]
+    """A bundle, with calibration, collector and background in use when its turn began."""
 
-    @property
-    def outcome(self) -> _Measured | LearntBackground | Loss:
-        """Outcome of the job, which must be done."""
-        if not self.job.cancelled():
-            return self.job.result()
-        return self.bundle.content if isinstance(self.bundle.content, Loss) else SHUTDOWN
+    bundle: SpooledBundle
+    session: int
+    rig_file: RigFile
+    collector: CollectsDrops | None
+    background: Path | None
+    retired: tuple[Path, ...]  # versions of the background that neither this job nor a later one uses
 
 
 class Processing:
@@ -177,18 +167,11 @@ class Processing:
         self._results = results
         self._calibration = calibration
         self._observer = observer
-        self._jobs: set[asyncio.Task[_Measured | LearntBackground | Loss]] = set()
+        self._jobs: set[asyncio.Task[_Outcome]] = set()
         self._is_abandoned = False
-        self._kept_background = context.kept_background
         self._quarantine = quarantine
-        self._keeping: asyncio.Task[None] | None = None
-        self._backgrounds = BackgroundVersions()
-        self._n_backgrounds = 0
+        self._backgrounds = BackgroundVersions(context.folder, context.kept_background)
         self._last_loss: Loss | None = None
-
-    @property
-    def has_background(self) -> bool:
-        return self._backgrounds.in_use is not None
 
     @property
     def background(self) -> Path | None:
@@ -197,53 +180,34 @@ class Processing:
 
     async def run(self) -> None:
         """Process and commit every bundle of the spool; return when it is finished."""
-        if self._kept_background is not None:
-            self._backgrounds = BackgroundVersions(await self._restored(self._kept_background))
-        turns: asyncio.Queue[_Turn | None] = asyncio.Queue(MAX_TURNS)
+        await self._backgrounds.restore()
+        turns: asyncio.Queue[tuple[_Turn, asyncio.Task[_Outcome]] | None] = asyncio.Queue(MAX_TURNS)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._commit_all(turns, tasks))
             while (bundle := await self._spool.take()) is not None:
-                inputs, retired = await self._inputs(bundle)
-                job = tasks.create_task(self._process(bundle, inputs))
+                turn = await self._turn(bundle)
+                job = tasks.create_task(self._process(turn))
                 self._jobs.add(job)
                 job.add_done_callback(self._jobs.discard)
-                await turns.put(_Turn(bundle, inputs, retired, job))
+                await turns.put((turn, job))
                 if self._is_abandoned:
                     job.cancel()
                 if bundle.is_background:
                     await self._backgrounds.learn(job)
             await turns.put(None)
 
-    async def _restored(self, kept: KeptBackground) -> Path | None:
-        """Return the folder of the background that was kept for this start, None if there is none."""
-        learning, learnt = self._background_folders()
-        if await asyncio.to_thread(kept.restore, learning) is None:
-            return None
-        return await asyncio.to_thread(learning.rename, learnt)
-
-    def _background_folders(self) -> tuple[Path, Path]:
-        """Return where the next version of the background is written, and its name once it is complete."""
-        folder = self._context.folder
-        self._n_backgrounds += 1
-        return (
-            folder / f"learning-{self._n_backgrounds:08d}",
-            folder / f"{BACKGROUND}{self._n_backgrounds:08d}",
-        )
-
-    async def _inputs(self, bundle: SpooledBundle) -> tuple[JobInputs, tuple[Path, ...]]:
-        """Return the inputs of a bundle's job, and the versions of the background not needed from it on."""
-        if self._backgrounds.is_gone():
-            log.error("the background was deleted from the spool folder=%s", self._context.folder)
-            kept = self._kept_background
-            self._backgrounds = BackgroundVersions(None if kept is None else await self._restored(kept))
-        if bundle.left is not None:
-            background = bundle.left.background or self._backgrounds.in_use
-            return JobInputs(self._calibration.rig_file, None, background), ()
+    async def _turn(self, bundle: SpooledBundle) -> _Turn:
+        """Begin the turn of a bundle; it waits for the background that it needs."""
+        await self._backgrounds.restore_if_gone()
+        if (left := bundle.left) is not None:
+            background = left.background or self._backgrounds.in_use
+            return _Turn(bundle, left.session, self._calibration.rig_file, None, background, ())
         retired = await self._backgrounds.advance(bundle.is_background)
         collector = self._calibration.collector
         if collector is not None and collector.kind is not bundle.trigger.kind:
             collector = None
-        return JobInputs(self._calibration.rig_file, collector, self._backgrounds.in_use), retired
+        session, rig_file = self._context.session, self._calibration.rig_file
+        return _Turn(bundle, session, rig_file, collector, self._backgrounds.in_use, retired)
 
     def abandon(self) -> None:
         """Stop measuring: bundles without a result are lost, reason `shutdown`, and `run` returns soon."""
@@ -251,28 +215,32 @@ class Processing:
         for job in self._jobs:
             job.cancel()
 
-    async def _commit_all(self, turns: "asyncio.Queue[_Turn | None]", tasks: asyncio.TaskGroup) -> None:
-        while (turn := await turns.get()) is not None:
-            await asyncio.wait([turn.job])
-            for path in turn.retired:  # no unfinished job was given it
-                tasks.create_task(self._remove(path, self._keeping))
-            seq = await self._commit(turn, tasks)
-            if turn.bundle.left is None and not turn.bundle.is_background:
-                self._observer.on_outcome((time.monotonic_ns() - turn.bundle.trigger.received_ns) / 1e9)
-            await self._spool.release(turn.bundle, seq)
+    async def _commit_all(
+        self, turns: "asyncio.Queue[tuple[_Turn, asyncio.Task[_Outcome]] | None]", tasks: asyncio.TaskGroup
+    ) -> None:
+        while (committed := await turns.get()) is not None:
+            turn, job = committed
+            bundle = turn.bundle
+            await asyncio.wait([job])
+            if turn.retired:  # no unfinished job was given it
+                tasks.create_task(self._backgrounds.remove(turn.retired))
+            if job.cancelled():
+                outcome: _Outcome = bundle.content if isinstance(bundle.content, Loss) else SHUTDOWN
+            else:
+                outcome = job.result()
+            seq = await self._commit(turn, outcome, tasks)
+            if bundle.left is None and not bundle.is_background:
+                self._observer.on_outcome((time.monotonic_ns() - bundle.trigger.received_ns) / 1e9)
+            await self._spool.release(bundle, seq)
             self._observer.on_progress()
 
-    async def _commit(self, turn: _Turn, tasks: asyncio.TaskGroup) -> int | None:
+    async def _commit(self, turn: _Turn, outcome: _Outcome, tasks: asyncio.TaskGroup) -> int | None:
         """Make the outcome durable; return the number of a result that was measured or rejected, else None."""
         bundle = turn.bundle
-        session = self._session_of(bundle)
-        match outcome := turn.outcome:
+        match outcome:
             case LearntBackground(path, optics):
                 self._observer.on_empty_rig(optics)
-                if self._keeping is not None:
-                    await self._keeping
-                if self._kept_background is not None:  # as a task: stones do not wait for the disk
-                    self._keeping = tasks.create_task(asyncio.to_thread(self._kept_background.keep, path))
+                await self._backgrounds.keep(path, tasks)
             case Loss() if bundle.is_background:
                 log.warning("background lost: %s (%s) bundle=%s", outcome.reason, outcome.detail, bundle.name)
             case Loss():
@@ -285,17 +253,20 @@ class Processing:
                     bundle=bundle.name,
                     reason=outcome.reason,
                     detail=outcome.detail,
-                    calibration_id=turn.inputs.rig_file.calibration_id,
+                    calibration_id=turn.rig_file.calibration_id,
                     is_simulated=self._context.is_simulated,
                 )
-                await self._results.finish(session, bundle.name, record)
-            case _Measured(MeasuredBundle(record, network), folder, keep_drop):
+                await self._results.finish(turn.session, bundle.name, record)
+                self._observer.on_result(record)
+            case _Measured(measured, folder, keep_drop):
                 files = {path.name: path for name in RESULT_FILES if (path := folder / name).exists()}
                 self._last_loss = None
+                record = measured.record
                 if (verified := self._calibration.verified) is not None:
                     record = {**record, "verification": verified}
-                seq = await self._results.finish(session, bundle.name, record, files)
-                self._observer.on_network(network)
+                seq = await self._results.finish(turn.session, bundle.name, record, files)
+                self._observer.on_result(record)
+                self._observer.on_measured(measured)
                 if keep_drop is not None:
                     try:
                         await keep_drop(record)
@@ -306,76 +277,54 @@ class Processing:
                 return seq
         return None
 
-    def _session_of(self, bundle: SpooledBundle) -> int:
-        return self._context.session if bundle.left is None else bundle.left.session
-
-    async def _remove(self, path: Path, keeping: "asyncio.Task[None] | None") -> None:
-        """Remove a version of the background when it is not being copied for the next start."""
-        if keeping is not None:
-            await asyncio.wait([keeping])
-        await asyncio.to_thread(shutil.rmtree, path, ignore_errors=True)
-
-    async def _process(self, bundle: SpooledBundle, inputs: JobInputs) -> _Measured | LearntBackground | Loss:
-        if isinstance(bundle.content, Loss):
-            return bundle.content
-        if bundle.is_background:
-            return await self._learn(bundle.content, inputs.background)
-        folder = self._context.folder / job_folder(bundle.content)
+    async def _process(self, turn: _Turn) -> _Outcome:
+        bundle, path = turn.bundle, turn.bundle.content
+        if isinstance(path, Loss):
+            return path
+        is_background = bundle.is_background
+        folder = self._backgrounds.new_folder() if is_background else self._context.folder / job_folder(path)
         try:
-            return await self._measure(bundle.content, inputs, folder)
+            return await (self._learn if is_background else self._measure)(path, turn, folder)
         except JobLostError as err:
             loss = Loss(reason=err.reason, detail=err.detail)
-            if self._quarantine is not None and not err.is_hosts:
-                session = self._session_of(bundle)
-                await asyncio.to_thread(self._quarantine.keep, bundle.content, session, bundle.name)
+            if self._quarantine is not None and not is_background and not err.is_hosts:
+                await asyncio.to_thread(self._quarantine.keep, path, turn.session, bundle.name)
         except RecordingError as err:
             loss = Loss(reason=LossReason.UNREADABLE, detail=err.problem)
+        except FileNotFoundError:
+            if not is_background:
+                raise
+            loss = Loss(reason=LossReason.UNREADABLE, detail="the spool was deleted")
         # files of failed jobs would fill the tmpfs
         await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)
         return loss
 
-    async def _learn(self, path: Path, background: Path | None) -> LearntBackground | Loss:
-        out_path, learnt = self._background_folders()
+    async def _learn(self, path: Path, turn: _Turn, folder: Path) -> LearntBackground:
         job = LearnJob(
             bundle_path=path,
             camera_ids=self._context.camera_ids,
-            previous_path=background,
-            out_path=out_path,
+            previous_path=turn.background,
+            out_path=folder,
             threads=self._pool.threads_per_job,
         )
-        try:
-            optics = await self._pool.run(learn_background, job)
-            return LearntBackground(_complete(out_path, learnt), optics)
-        except JobLostError as err:
-            loss = Loss(reason=err.reason, detail=err.detail)
-        except RecordingError as err:
-            loss = Loss(reason=LossReason.UNREADABLE, detail=err.problem)
-        except FileNotFoundError:
-            loss = Loss(reason=LossReason.UNREADABLE, detail="the spool was deleted")
-        await asyncio.to_thread(shutil.rmtree, out_path, ignore_errors=True)
-        return loss
+        optics = await self._pool.run(learn_background, job)
+        return LearntBackground(complete(folder), optics)
 
-    async def _measure(self, path: Path, inputs: JobInputs, folder: Path) -> _Measured:
+    async def _measure(self, path: Path, turn: _Turn, folder: Path) -> _Measured:
         job = MeasureJob(
             bundle_path=path,
             camera_ids=self._context.camera_ids,
-            rig_file=inputs.rig_file,
-            background_path=inputs.background,
+            rig_file=turn.rig_file,
+            background_path=turn.background,
             out_dir=folder,
             save_silhouettes=self._context.save_silhouettes,
             checked=self._context.checked,
             threads=self._pool.threads_per_job,
         )
         measured = await self._pool.run_when_idle(measure, lambda: replace(job, is_rushed=self._is_rush()))
-        collector = inputs.collector
-        keep_drop = None if collector is None else await collector.observe(self._pool, job)
+        keep_drop = None if turn.collector is None else await turn.collector.observe(self._pool, job)
         return _Measured(measured, folder, keep_drop)
 
     def _is_rush(self) -> bool:
         """True when so many bundles wait that the next body is not refined."""
         return self._context.can_rush and self._pool.n_waiting > RUSH_SHARE * self._pool.size
-
-
-def _complete(learning: Path, learnt: Path) -> Path:
-    """Give a version of the background the name that says that it is complete."""
-    return learning.rename(learnt)

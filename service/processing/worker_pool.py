@@ -23,10 +23,15 @@ from multiprocessing.process import BaseProcess
 
 from service.base.errors import ServiceError, WorkerFailure
 from service.base.status import Checks, CheckStatus, HealthCheck
-from service.processing.fork_server import ensure_fork_server
 from service.processing.job_pool import Job, Result
-from service.processing.process_memory import freeze_gc
-from service.processing.worker_process import Prepare, begin_process, prepare_process, warm_up
+from service.processing.worker_process import (
+    Prepare,
+    begin_process,
+    ensure_fork_server,
+    freeze_gc,
+    prepare_process,
+    warm_up,
+)
 from service.results.fields import LossReason
 
 log = logging.getLogger(__name__)

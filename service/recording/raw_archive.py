@@ -23,7 +23,7 @@ from pipeline.frames import CameraId, FrameBundle
 from service.base.errors import StoreError
 from service.base.status import Checks, trouble_check
 from service.processing.worker_pool import JobLostError, WorkerPool
-from service.processing.worker_process import WarmUp, worker_boundary
+from service.processing.worker_process import lower_priority, worker_boundary
 
 log = logging.getLogger(__name__)
 
@@ -35,6 +35,8 @@ RECENT_S = 60.0
 """Time for which health warns of frames that were not kept."""
 PROCESS_NAME = "stonefall-keep"
 """Name of the process in `ps` and `top`."""
+NICENESS = 14
+"""Above that of the workers."""
 
 
 class RawFolder(Protocol):
@@ -53,12 +55,6 @@ class KeepJob:
     camera_ids: tuple[CameraId, ...]
     out_path: Path
     compression: Compression
-
-
-def lower_priority(context: None) -> tuple[WarmUp, ...]:
-    """Give this process a lower priority than the workers and the daemon."""
-    os.nice(14)
-    return ()
 
 
 def _run_when_idle() -> None:
@@ -154,7 +150,7 @@ class RawArchive:
     async def run(self) -> None:
         """Write the files that were taken, one after the other."""
         pool = WorkerPool(
-            slots=1, deadline_s=DEADLINE_S, prepare=lower_priority, context=None, name=PROCESS_NAME
+            slots=1, deadline_s=DEADLINE_S, prepare=lower_priority, context=NICENESS, name=PROCESS_NAME
         )
         try:
             while (item := await self._waiting.get()) is not None:

@@ -10,7 +10,7 @@ from pipeline.frames import BundleKind, CameraId, Trigger
 from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.drop_jobs import ObserveJob
-from service.processing.measure_job import LearnJob, MeasuredBundle, MeasureJob, NetworkUse, RigFile
+from service.processing.measure_job import LearnJob, MeasuredBundle, MeasureJob, RigFile
 from service.processing.processing import Processing, ProcessingContext, ProcessingObserver
 from service.processing.quarantine import Quarantine
 from service.processing.spool import Loss, SpooledBundle
@@ -83,7 +83,7 @@ class ScriptedPool:
             "background": job.background_path,
             "calibration_id": job.rig_file.calibration_id,
         }
-        return MeasuredBundle(record, NetworkUse(is_source=False, trouble=None))
+        return MeasuredBundle(record)
 
     def _observe(self, name: str, job: ObserveJob) -> ObservedDrop:
         job.out_path.touch()  # a process that dies may leave half a file
@@ -133,6 +133,8 @@ class Bench:
         self.store = ListStore()
         self.progress = 0
         self.delays_s: list[float] = []
+        self.told: list[tuple[str, int]] = []
+        """Bundles whose records were passed on, and how many were durable then."""
         self.folder = folder
         self.quarantine = Quarantine(folder.parent / "quarantine")
         context = ProcessingContext(
@@ -149,7 +151,11 @@ class Bench:
             pool=pool,
             results=self.store,
             calibration=desk or Desk(),
-            observer=ProcessingObserver(on_outcome=self.delays_s.append, on_progress=self.on_progress),
+            observer=ProcessingObserver(
+                on_outcome=self.delays_s.append,
+                on_progress=self.on_progress,
+                on_result=lambda record: self.told.append((record["bundle"], len(self.store.records))),
+            ),
             quarantine=self.quarantine,
         )
 

@@ -13,7 +13,7 @@ from support.outcomes import add, measured
 from support.rest import particle_files
 
 from pipeline.particle import PipelineParameters
-from service.processing.measure_job import MESH, MeasuredBundle, MeasureJob, NetworkUse, WorkerContext
+from service.processing.measure_job import MESH, MeasuredBundle, MeasureJob, WorkerContext
 from service.remeasuring.jobs import RigFiles
 from service.remeasuring.remeasuring import Remeasuring
 from service.results.version import ALGORITHM_VERSION
@@ -45,7 +45,7 @@ class AgainPool:
         trimesh.creation.box((1.0, 2.0, 3.0)).export(job.out_dir / MESH)
         made = {"calibration_id": job.rig_file.calibration_id, "algorithm_version": ALGORITHM_VERSION}
         record = measured(**made, **self.fields)
-        return MeasuredBundle(record, NetworkUse(is_source=False, trouble=None))
+        return MeasuredBundle(record)
 
     def close(self) -> None:
         self.closed.set()

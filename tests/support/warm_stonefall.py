@@ -217,7 +217,7 @@ if __name__ == "__main__":
     import service.processing.worker_imports
     import service.store  # so that nothing is left to import after the fork
     import service.web.reader_process
-    from service.processing.process_memory import freeze_gc
+    from service.processing.worker_process import freeze_gc
 
     for command in service.commands.cli.COMMANDS.values():
         __import__(command)

@@ -12,7 +12,6 @@ from support.outlines import seen_by, stone_outlines, stone_points, watch_record
 from pipeline.frames import CameraId
 from pipeline.rig.design import as_built, nominal_rig
 from service.health.rig_watch import MIN_STONES, REMEDY, WINDOW, RigWatch, Suspicion
-from service.processing.observers import WatchedResults
 
 RIG = as_built(nominal_rig(), seed=3)
 C05 = CameraId("c05")
@@ -200,18 +199,3 @@ def test_records_that_compare_no_views_teach_nothing():
     watch.feed({"calibration_id": RIG.calibration_id, "tangency_px": {}, "dropped_views": {}})
     watch.feed({"calibration_id": RIG.calibration_id})  # of an older version
     assert watch.suspicions() == before
-
-
-async def test_results_are_passed_on_before_they_are_learnt_from():
-    watch, kept = RigWatch(RIG), []
-
-    class Results:
-        async def finish(self, session, bundle, record, files=None):
-            assert not watch.suspicions()
-            kept.append((session, bundle, record, files))
-            return 7
-
-    bad = record({"c05": 31.0}, (50.0, 0.0), dropped=("c05",))
-    assert await WatchedResults(Results(), watch).finish(1, "b", bad, {}) == 7
-    assert kept == [(1, "b", bad, {})]
-    assert the_suspicion(watch).camera == C05

@@ -2,32 +2,35 @@
 
 from service.base.status import trouble_check
 from service.health.segmentation_watch import WINDOW, SegmentationWatch
-from service.processing.measure_job import NetworkUse
+from service.processing.measure_job import MeasuredBundle
 from service.processing.segmenters import SegmenterPlan
 
 PLAN = SegmenterPlan(wanted="auto", model=b"model")
-RUNS = NetworkUse(is_source=True, trouble=None)
-NOT_ASKED = NetworkUse(is_source=False, trouble=None)
-ON_CPU = NetworkUse(is_source=True, trouble="GPU failed, the CPU computes")
-CANNOT_RUN = NetworkUse(is_source=False, trouble="model x: cannot be run: out of memory")
+BY_NETWORK, BY_BACKGROUND = (
+    {"segmenters": {"c01": "background", "c02": "network"}},
+    {"segmenters": {"c01": "background"}},
+)
+RUNS, NOT_ASKED = MeasuredBundle(BY_NETWORK), MeasuredBundle(BY_BACKGROUND)
+ON_CPU = MeasuredBundle(BY_NETWORK, "GPU failed, the CPU computes")
+CANNOT_RUN = MeasuredBundle(BY_BACKGROUND, "model x: cannot be run: out of memory")
 
 
 def test_a_network_that_runs_or_is_not_asked_is_no_trouble() -> None:
     watch = SegmentationWatch(PLAN)
-    for use in (RUNS, NOT_ASKED):
-        watch.feed(use)
+    for measured in (RUNS, NOT_ASKED):
+        watch.feed(measured)
     assert watch.warning is None
 
 
 def test_a_provider_that_fails_in_a_run_is_told_until_the_network_runs_again() -> None:
     watch = SegmentationWatch(PLAN)
     watch.feed(ON_CPU)
-    assert watch.warning == ON_CPU.trouble
+    assert watch.warning == ON_CPU.network_trouble
     for _ in range(2 * WINDOW):
         watch.feed(NOT_ASKED)
     for _ in range(WINDOW - 1):
         watch.feed(RUNS)
-    assert watch.warning == ON_CPU.trouble
+    assert watch.warning == ON_CPU.network_trouble
     watch.feed(RUNS)
     assert watch.warning is None
 
@@ -35,7 +38,7 @@ def test_a_provider_that_fails_in_a_run_is_told_until_the_network_runs_again() -
 def test_a_network_that_cannot_be_run_is_told_though_the_background_took_its_place() -> None:
     watch = SegmentationWatch(PLAN)
     watch.feed(CANNOT_RUN)
-    assert watch.warning == CANNOT_RUN.trouble
+    assert watch.warning == CANNOT_RUN.network_trouble
 
 
 def test_what_was_known_from_the_start_stays() -> None:

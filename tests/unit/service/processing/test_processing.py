@@ -18,6 +18,7 @@ from service.processing.left_bundles import LeftBundle
 from service.processing.measure_job import LearnJob, MeasureJob, RigFile
 from service.processing.spool import Loss
 from service.processing.worker_pool import JobLostError
+from service.results.fields import LossReason
 
 
 async def test_results_are_committed_in_trigger_order_whichever_is_ready_first(tmp_path: Path):
@@ -68,13 +69,21 @@ async def test_bodies_are_not_refined_while_others_wait(tmp_path: Path):
     assert len(bench.outcomes) == 5
 
 
+async def test_results_and_losses_are_passed_on_once_they_are_durable(tmp_path: Path):
+    loss = Loss(reason=LossReason.QUEUE_FULL, detail="full")
+    bundles = [turn("a"), turn("e", kind=BundleKind.BACKGROUND), turn("b", loss=loss), turn("c")]
+    bench = Bench(tmp_path, bundles, ScriptedPool())
+    await bench.processing.run()
+    assert bench.told == [("a", 1), ("b", 2), ("c", 3)]
+
+
 async def test_every_job_gets_the_background_of_its_place_and_old_versions_go(tmp_path: Path):
     empty = BundleKind.BACKGROUND
     bundles = [turn("a"), turn("e1", kind=empty), turn("b"), turn("e2", kind=empty), turn("c"), turn("d")]
     bench = Bench(tmp_path, bundles, ScriptedPool())
-    assert not bench.processing.has_background
+    assert bench.processing.background is None
     await bench.processing.run()
-    assert bench.processing.has_background
+    assert bench.processing.background is not None
     learnt = [job for job in bench.pool.jobs if isinstance(job, LearnJob)]
     assert [job.previous_path for job in learnt] == [None, complete(learnt[0])]
     used = {record["bundle"]: record["background"] for record in bench.store.records}
