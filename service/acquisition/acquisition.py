@@ -148,12 +148,7 @@ class Acquisition:
     async def show_camera(self, name: CameraId, seconds: float) -> CameraVitals:
         """Let the lamp of one camera blink for some seconds, or until the rig is armed; return how the camera is.
 
-        Raises
-        ------
-        NotDisarmedError
-            The acquisition uses the cameras.
-        CameraUnavailableError
-            The camera does not answer, is another one, or has no lamp.
+        Raises `NotDisarmedError` while the acquisition uses the cameras, `CameraUnavailableError` as `ShownCamera`.
         """
         async with self._using_cameras:
             if self.state is not AcquisitionState.DISARMED:

@@ -26,10 +26,7 @@ class ShownCamera:
     async def show(self, camera: Camera, seconds: float) -> CameraVitals:
         """Open a camera, let it blink from now on for some seconds, and return what it says about itself.
 
-        Raises
-        ------
-        CameraUnavailableError
-            It does not answer, is another one, or has no lamp; it is closed then.
+        Raises `CameraUnavailableError` if it does not answer, is another one, or has no lamp; it is closed then.
         """
         await self.end()
         self._enough.clear()

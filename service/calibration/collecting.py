@@ -9,10 +9,9 @@ from drivers.errors import RecordingError
 from pipeline.frames import BundleKind
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.drop_jobs import ObserveJob, observe
-from service.processing.job_pool import JobPool
 from service.processing.measure_job import MeasureJob
 from service.processing.processing import KeepDrop
-from service.processing.worker_pool import JobLostError
+from service.processing.worker_pool import JobLostError, JobPool
 
 OUTLINES = "outlines.npz"
 """File of a drop's outlines, in the folder of the job that measured it."""

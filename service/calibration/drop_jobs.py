@@ -20,7 +20,7 @@ from pipeline.views.epipolar_tangency import epipolar_tangents, tangency_scores_
 from service.calibration.drop_files import ObservedDrop, SeenCircle, read_drop, write_drop
 from service.calibration.drops import observe_drop, refusal_of, solve_drops
 from service.calibration.plan import Method
-from service.processing.measure_job import RigFile, this_worker
+from service.processing.measure_job import RigFile, background_at, rig_in, this_worker
 from service.processing.worker_process import worker_boundary
 
 
@@ -76,8 +76,8 @@ def observe(job: ObserveJob) -> ObservedDrop:
     worker = this_worker()
     bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
     with worker_boundary():
-        rig = worker.rig_in(job.rig_file)
-        background = worker.background_at(job.background_path)
+        rig = rig_in(job.rig_file)
+        background = background_at(job.background_path)
         # never the network, whose training an edge must not depend on: views without comparison are left out
         segmenter = BackgroundSegmenter(worker.context.parameters.segmentation)
         drop = observe_drop(bundle, background, segmenter, job.kind)

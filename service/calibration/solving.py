@@ -9,7 +9,7 @@ from service.calibration.drop_jobs import Solved, SolveJob, solve
 from service.calibration.files import CalibrationFiles, CalibrationRecord
 from service.calibration.plan import Method
 from service.processing.measure_job import RigFile, lower_priority
-from service.processing.worker_pool import JobLostError, WorkerStartError, run_in_new_process
+from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError
 
 SOLVE_DEADLINE_S = 300.0
 """The paper's method takes half a minute of one core."""
@@ -19,7 +19,10 @@ Solver = Callable[[SolveJob], Awaitable[Solved]]
 
 async def solve_apart(job: SolveJob) -> Solved:
     """Run the job in a process of its own; raise `JobLostError` or `WorkerStartError` when that fails."""
-    return await run_in_new_process(solve, job, deadline_s=SOLVE_DEADLINE_S, prepare=lower_priority)
+    async with WorkerPool(
+        slots=1, deadline_s=SOLVE_DEADLINE_S, prepare=lower_priority, context=None
+    ) as pool:  # bundles do not wait for it
+        return await pool.run(solve, job)
 
 
 async def solve_calibration(

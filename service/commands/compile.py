@@ -29,8 +29,7 @@ async def _compile(settings: Settings) -> None:
         segmentation=plan_segmenter(settings.segmentation),
     )
     workers = settings.workers
-    pool = WorkerPool(slots=workers.slots, deadline_s=workers.deadline_s, prepare=prepare, context=context)
-    try:
-        await pool.start()
-    finally:
-        pool.close()
+    async with WorkerPool(
+        slots=workers.slots, deadline_s=workers.deadline_s, prepare=prepare, context=context
+    ):
+        pass

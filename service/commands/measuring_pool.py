@@ -7,9 +7,8 @@ from typing import Annotated
 import typer
 
 from service.base.errors import ServiceError
-from service.processing.job_pool import JobPool
 from service.processing.measure_job import WorkerContext, prepare
-from service.processing.worker_pool import WorkerPool
+from service.processing.worker_pool import JobPool, WorkerPool
 from service.remeasuring.cluster.opening import open_cluster
 
 DEADLINE_S = 600.0
@@ -32,12 +31,8 @@ async def measuring_pool(
         async with open_cluster(executor, context) as cluster:
             yield cluster
         return
-    pool = WorkerPool(slots=workers, deadline_s=DEADLINE_S, prepare=prepare, context=context)
-    try:
-        await pool.start()
+    async with WorkerPool(slots=workers, deadline_s=DEADLINE_S, prepare=prepare, context=context) as pool:
         yield pool
-    finally:
-        pool.close()
 
 
 @contextmanager

@@ -17,9 +17,8 @@ from drivers.errors import RecordingError
 from service.base.errors import UsageError
 from service.commands.daemon_client import DaemonClient, DaemonError
 from service.commands.measuring_pool import IN_FLIGHT
-from service.processing.job_pool import JobPool
 from service.processing.measure_job import measure
-from service.processing.worker_pool import JobLostError
+from service.processing.worker_pool import JobLostError, JobPool
 from service.remeasuring.cluster.opening import open_cluster
 from service.remeasuring.hindrance import Hindrance
 from service.remeasuring.orders import MAX_OPEN, Order, read_context, read_order, write_record

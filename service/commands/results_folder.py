@@ -16,10 +16,10 @@ from drivers.files.recording import Recording, playback_order, unreadable_trigge
 from drivers.files.silhouette_file import read_silhouettes
 from service.base.errors import ServiceError
 from service.commands.measuring_pool import IN_FLIGHT, one_error
-from service.processing.job_pool import JobPool
 from service.processing.measure_job import MESH, SILHOUETTES, RigFile
 from service.processing.processing import FixedCalibration, Processing, ProcessingContext, ProcessingObserver
 from service.processing.spool import Loss, SpooledBundle
+from service.processing.worker_pool import JobPool
 from service.results.fields import LossReason, completed
 
 RESULTS = "results.jsonl"

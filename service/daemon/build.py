@@ -35,11 +35,10 @@ from service.health.refinement_watch import RefinementWatch
 from service.health.rig_watch import RigWatch
 from service.health.segmentation_watch import SegmentationWatch
 from service.processing.background_files import KeptBackground
-from service.processing.bundle_files import BundleFiles
 from service.processing.measure_job import WorkerContext, prepare
 from service.processing.processing import Processing, ProcessingContext, ProcessingObserver
 from service.processing.segmenters import SegmenterPlan
-from service.processing.spool import Spool
+from service.processing.spool import BundleFiles, Spool
 from service.processing.worker_pool import WorkerPool
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings, open_recordings
@@ -175,7 +174,7 @@ def _build_queue(session: Session) -> tuple[Spool, RawArchive]:
         files,
         max_bundles=settings.spool.max_bundles,
         camera_ids=session.source.camera_ids,
-        archive=archive if settings.store.keep_raw > 0 else None,
+        archive=archive.take if settings.store.keep_raw > 0 else lambda path, seq: False,
         store_trouble=lambda: _store_trouble(session.store),
         left=session.left,
     )

@@ -98,8 +98,8 @@ def code_digests(root: Path) -> Mapping[str, str]:
 
 
 def _digests(trees: Mapping[str, ast.Module]) -> dict[str, str]:
-    own = {name: hashlib.sha256(_code(tree).encode()).hexdigest() for name, tree in trees.items()}
     imports = {name: _imported(tree) & trees.keys() for name, tree in trees.items()}
+    own = {name: hashlib.sha256(_code(tree).encode()).hexdigest() for name, tree in trees.items()}
     digests = {}
     for name in trees:
         reached, found = {name}, [name]
@@ -107,9 +107,8 @@ def _digests(trees: Mapping[str, ast.Module]) -> dict[str, str]:
             new = imports[found.pop()] - reached
             reached |= new
             found.extend(new)
-        digests[name] = hashlib.sha256("".join(own[each] for each in sorted(reached)).encode()).hexdigest()[
-            :16
-        ]
+        code = "".join(own[each] for each in sorted(reached))
+        digests[name] = hashlib.sha256(code.encode()).hexdigest()[:16]
     return digests
 
 
@@ -123,11 +122,10 @@ def _code(tree: ast.Module) -> str:
 
 
 def _is_text(statement: ast.stmt) -> bool:
-    return (
-        isinstance(statement, ast.Expr)
-        and isinstance(statement.value, ast.Constant)
-        and isinstance(statement.value.value, str)
-    )
+    match statement:
+        case ast.Expr(value=ast.Constant(value=str())):
+            return True
+    return False
 
 
 def _imported(tree: ast.Module) -> set[str]:

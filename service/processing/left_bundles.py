@@ -34,6 +34,9 @@ JOB = "job-"
 BACKGROUND = "background-"
 """Begins the name of a complete background model's folder; those of a session are in the order of their names."""
 
+LEFT_BACKGROUND = PREFIX + "{}-background"
+"""Name of the folder of a background that another session learnt, by its number."""
+
 OpenTrigger = tuple[int, str]
 """A trigger without an outcome: its session, and the name of its bundle."""
 
@@ -118,7 +121,7 @@ def job_folder(path: Path) -> str:
 
 def remove_backgrounds(own: Path) -> None:
     """Remove the backgrounds of earlier sessions, when nothing is left to be measured with them."""
-    for path in own.glob(f"{PREFIX}*-{BACKGROUND.rstrip('-')}"):
+    for path in own.glob(LEFT_BACKGROUND.format("*")):
         _remove(path)
 
 
@@ -150,7 +153,7 @@ def _taken(
         )
         quarantine.keep(path, name.session, bundle.name)
         return None
-    background = own / f"{PREFIX}{name.session}-{BACKGROUND.rstrip('-')}"
+    background = own / LEFT_BACKGROUND.format(name.session)
     return LeftBundle(
         session=name.session,
         trigger=bundle.trigger,
@@ -162,10 +165,11 @@ def _taken(
 
 def _take_backgrounds(other: Path, own: Path) -> None:
     """Move the newest background that a session learnt, and those that it had taken over itself."""
-    learnt = sorted(other.glob(f"{BACKGROUND}*"))[-1:]
-    taken = [own / f"{PREFIX}{other.name}-{BACKGROUND.rstrip('-')}" for _ in learnt]
-    earlier = list(other.glob(f"{PREFIX}*-{BACKGROUND.rstrip('-')}"))
-    for path, target in [*zip(learnt, taken, strict=True), *((path, own / path.name) for path in earlier)]:
+    targets = {path: own / path.name for path in other.glob(LEFT_BACKGROUND.format("*"))}
+    targets |= {
+        path: own / LEFT_BACKGROUND.format(other.name) for path in sorted(other.glob(f"{BACKGROUND}*"))[-1:]
+    }
+    for path, target in targets.items():
         if not target.exists():
             path.rename(target)
 

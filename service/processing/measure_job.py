@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -103,35 +103,27 @@ class LearnJob:
     threads: int = 1  # views that are processed at a time
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Worker:
-    """State of a worker process: what its jobs share, and what it caches from one to the next."""
+    """State of a worker process that its jobs share."""
 
     context: WorkerContext
     segmenter: ChoosingSegmenter | MaskSegmenter
-    background_path: Path | None = None
-    background: BackgroundModel | None = None
-    rig_file: RigFile | None = None
-    rig: RigCalibration | None = None
 
-    def background_at(self, path: Path | None) -> BackgroundModel:
-        """Return the model in a folder, cached: folders are never rewritten under their name."""
-        if path is None:
-            return {}
-        if self.background is None or path != self.background_path:
-            self.background, self.background_path = read_background(path), path
-        return self.background
 
-    def rig_in(self, file: RigFile) -> RigCalibration:
-        """Return the calibration in a file, cached; raise `ValueError` when it has another id."""
-        if self.rig is None or file != self.rig_file:
-            rig = read_rig(file.path)
-            if rig.calibration_id != file.calibration_id:
-                raise ValueError(
-                    f"{file.path} holds calibration {rig.calibration_id}, not {file.calibration_id}"
-                )
-            self.rig, self.rig_file = rig, file
-        return self.rig
+@lru_cache(maxsize=1)
+def background_at(path: Path | None) -> BackgroundModel:
+    """Return the model in a folder, cached: folders are never rewritten under their name."""
+    return {} if path is None else read_background(path)
+
+
+@lru_cache(maxsize=1)
+def rig_in(file: RigFile) -> RigCalibration:
+    """Return the calibration in a file, cached; raise `ValueError` when it has another id."""
+    rig = read_rig(file.path)
+    if rig.calibration_id != file.calibration_id:
+        raise ValueError(f"{file.path} holds calibration {rig.calibration_id}, not {file.calibration_id}")
+    return rig
 
 
 _worker: Worker | None = None
@@ -204,12 +196,8 @@ def this_worker() -> Worker:
 def measure(job: MeasureJob) -> MeasuredBundle:
     """Measure one bundle; return its record, and write its mesh and `silhouettes.tiff`.
 
-    Raises
-    ------
-    RecordingError
-        Nothing of the bundle can be read.
-    WorkerFailure
-        An exception that says nothing about the stone; carries the traceback as text.
+    Raises `RecordingError` when nothing of the bundle can be read, `WorkerFailure` with the traceback as text for an
+    exception that says nothing about the stone.
     """
     worker = this_worker()
     timings_ms: dict[str, float] = {}
@@ -229,8 +217,8 @@ def measure(job: MeasureJob) -> MeasuredBundle:
     if skips_refinement:
         parameters = replace(parameters, body=replace(parameters.body, kind="estimate"))
     with worker_boundary():
-        background = worker.background_at(job.background_path)
-        rig = worker.rig_in(job.rig_file)
+        background = background_at(job.background_path)
+        rig = rig_in(job.rig_file)
         on_stage("load")
         with view_mapper(job.threads) as mapper:
             result = measure_bundle(bundle, rig, background, worker.segmenter, parameters, on_stage, mapper)
@@ -264,12 +252,9 @@ def view_mapper(n_threads: int) -> Iterator[ViewMapper]:
 
 
 def _write_files(job: MeasureJob, result: ParticleResult, *, compact_mesh: bool) -> None:
-    if result.mesh is not None and compact_mesh:
-        write_compact_mesh(
-            job.out_dir / COMPACT_MESH, result.mesh.vertices_mm, result.mesh.faces, result.greys
-        )
-    elif result.mesh is not None:
-        write_mesh(job.out_dir / MESH, result.mesh.vertices_mm, result.mesh.faces, result.greys)
+    if (mesh := result.mesh) is not None:
+        write, name = (write_compact_mesh, COMPACT_MESH) if compact_mesh else (write_mesh, MESH)
+        write(job.out_dir / name, mesh.vertices_mm, mesh.faces, result.greys)
     if job.save_silhouettes:
         seen = result.silhouettes
         size_px = next(iter(seen.values())).image_size_px
@@ -280,18 +265,11 @@ def _write_files(job: MeasureJob, result: ParticleResult, *, compact_mesh: bool)
 def learn_background(job: LearnJob) -> dict[str, Any]:
     """Add one exposure of the empty rig to the background and write that into a new folder.
 
-    Returns the optics of each camera, see `service.results.record.optics_record`.
-
-    Raises
-    ------
-    RecordingError
-        Nothing of the bundle can be read.
-    WorkerFailure
-        Anything else, with the traceback as text.
+    Returns the optics of each camera, see `service.results.record.optics_record`. Raises what `measure` raises.
     """
     bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
     with worker_boundary():
-        previous = this_worker().background_at(job.previous_path)
+        previous = background_at(job.previous_path)
 
         def add(camera: CameraId) -> dict[str, Any]:
             known = {camera: previous[camera]} if camera in previous else {}
@@ -299,8 +277,7 @@ def learn_background(job: LearnJob) -> dict[str, Any]:
             write_background(job.out_path, learn(known, seen))
             return optics_record(observe_all(seen, known))
 
-        with view_mapper(
-            job.threads
-        ) as mapper:  # camera by camera: all means at once are 84 MB of fresh memory
+        # camera by camera: all means at once are 84 MB of fresh memory
+        with view_mapper(job.threads) as mapper:
             observed = mapper(add, sorted({*previous, *bundle.frames}))
             return {camera: figures for seen in observed for camera, figures in seen.items()}

@@ -19,7 +19,6 @@ from drivers.errors import RecordingError
 from pipeline.frames import BundleKind, CameraId
 from service.processing.background_files import KeptBackground
 from service.processing.background_versions import BackgroundVersions, LearntBackground, complete
-from service.processing.job_pool import JobPool
 from service.processing.left_bundles import job_folder
 from service.processing.measure_job import (
     RESULT_FILES,
@@ -32,7 +31,7 @@ from service.processing.measure_job import (
 )
 from service.processing.quarantine import Quarantine
 from service.processing.spool import Loss, SpooledBundle
-from service.processing.worker_pool import JobLostError
+from service.processing.worker_pool import JobLostError, JobPool
 from service.results.fields import LossReason, Verified
 from service.results.record import lost_record
 

@@ -2,43 +2,26 @@
 
 import asyncio
 from collections.abc import Callable
-from typing import Protocol
 
-from service.processing.job_pool import Job, Result
+from service.processing.worker_pool import Job, Result, WorkerPool
 
 REST_S = 60.0
 """Time without a job after which the processes end; they hold as much memory as the daemon's workers."""
 
 
-class Pool(Protocol):
-    """A pool of worker processes, not started."""
-
-    async def start(self) -> None: ...
-
-    async def run(self, function: Callable[[Job], Result], job: Job) -> Result: ...
-
-    def close(self) -> None: ...
-
-
 class RestingPool:
     """Runs jobs in a pool that it makes with the first of them: `run`, as often as wanted, then `close`."""
 
-    def __init__(self, make_pool: Callable[[], Pool]) -> None:
+    def __init__(self, make_pool: Callable[[], WorkerPool]) -> None:
         self._make_pool = make_pool
-        self._pool: Pool | None = None
+        self._pool: WorkerPool | None = None
         self._starting = asyncio.Lock()
         self._n_jobs = 0
         self._resting: asyncio.TimerHandle | None = None
         self._is_closed = False
 
     async def run(self, function: Callable[[Job], Result], job: Job) -> Result:
-        """Run a job in the pool, which is started if it rests; raise what `WorkerPool.start` and `run` raise.
-
-        Raises
-        ------
-        CancelledError
-            The pool is closed.
-        """
+        """Run a job in the pool, which is started if it rests; raise `CancelledError` if it is closed."""
         self._stay()
         self._n_jobs += 1
         try:
@@ -48,7 +31,7 @@ class RestingPool:
             if self._n_jobs == 0 and not self._is_closed:
                 self._resting = asyncio.get_running_loop().call_later(REST_S, self.rest)
 
-    async def _started(self) -> Pool:
+    async def _started(self) -> WorkerPool:
         async with self._starting:
             if self._pool is None and not self._is_closed:
                 pool = self._make_pool()

@@ -15,20 +15,20 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 from drivers.files.bundle_file import overwrite_bundle
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
 from service.base.status import Checks, CheckStatus, HealthCheck
 from service.bundling.window import MissingReason
-from service.processing.bundle_files import BundleFiles
-from service.processing.left_bundles import LeftBundle, remove_backgrounds
+from service.processing.left_bundles import LeftBundle, is_left, remove_backgrounds
 from service.results.fields import LossReason
 
 log = logging.getLogger(__name__)
 
 MAX_LOSSES = 50_000
 """Most losses that wait for a store that is held, 0.5 kB each: three hours of stones. Later ones are one a reason."""
+SPARE_FILES = 4
+"""Free files that are kept to be written over: fresh memory of tmpfs costs 7 ms a bundle."""
 RECENT_S = 60.0
 """Time for which a loss is reported as trouble."""
 
@@ -55,12 +55,34 @@ class SpooledBundle:
         return self.trigger.kind is BundleKind.BACKGROUND
 
 
-class Archive(Protocol):
-    """Keeps the frames of bundles that have their result."""
+class BundleFiles:
+    """Hands out files of one existing folder, which holds nothing else; called on the event loop.
 
-    def take(self, path: Path, seq: int) -> bool:
-        """Take over the file of the result `seq`, to give it back later; return False if it is not taken."""
-        ...
+    `on_free` is called for every bundle that needs its place no longer, those without a file included.
+    """
+
+    def __init__(self, folder: Path, *, on_free: Callable[[], None] = lambda: None) -> None:
+        self._folder = folder
+        self.on_free = on_free
+        self._n_files = 0
+        self._spare: list[Path] = []
+
+    def take(self) -> Path:
+        """Return a free file, or the name of a new one if there is none."""
+        if self._spare:
+            return self._spare.pop()
+        self._n_files += 1
+        return self._folder / f"{self._n_files:08d}.tiff"
+
+    async def give_back(self, path: Path) -> None:
+        """Take back a file that is no longer read, which may be gone, to be written over by a later bundle."""
+        is_of_earlier = is_left(path)  # its name must not become another bundle's, and it had no place
+        if not is_of_earlier and len(self._spare) < SPARE_FILES:
+            self._spare.append(path)
+        else:
+            await asyncio.to_thread(path.unlink, missing_ok=True)
+        if not is_of_earlier:
+            self.on_free()
 
 
 class Spool:
@@ -72,11 +94,14 @@ class Spool:
         *,
         max_bundles: int,
         camera_ids: Sequence[CameraId],
-        archive: Archive | None = None,
+        archive: Callable[[Path, int], bool] = lambda path, seq: False,
         store_trouble: Callable[[], str | None] = lambda: None,
         left: Sequence[LeftBundle] = (),
     ) -> None:
-        """`store_trouble` returns why bundles do not get their outcome now, None if they do."""
+        """`store_trouble` returns why bundles do not get their outcome now, None if they do.
+
+        `archive` takes over the file of the result `seq`, to give it back later; it returns False if it does not.
+        """
         self._files = files
         self._camera_ids = tuple(camera_ids)
         self._archive = archive
@@ -93,9 +118,8 @@ class Spool:
         self._troubles: dict[str, tuple[str, float]] = {}
         """By kind of trouble what was the last, and when."""
         for each in left:
-            self._ready.put_nowait(
-                SpooledBundle(trigger=each.trigger, name=each.name, content=each.path, left=each)
-            )
+            bundle = SpooledBundle(trigger=each.trigger, name=each.name, content=each.path, left=each)
+            self._ready.put_nowait(bundle)
 
     @property
     def trouble(self) -> str | None:
@@ -164,7 +188,7 @@ class Spool:
             self._n_left -= 1
             if self._n_left == 0:
                 await asyncio.to_thread(remove_backgrounds, bundle.content.parent)
-        if seq is None or self._archive is None or not self._archive.take(bundle.content, seq):
+        if seq is None or not self._archive(bundle.content, seq):
             await self._files.give_back(bundle.content)
 
     def _lose(self, bundle: FrameBundle, loss: Loss) -> None:

@@ -20,10 +20,10 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
+from typing import Protocol, Self, TypeVar
 
 from service.base.errors import ServiceError, WorkerFailure
 from service.base.status import Checks, CheckStatus, HealthCheck
-from service.processing.job_pool import Job, Result
 from service.processing.worker_process import (
     Prepare,
     begin_process,
@@ -49,9 +49,30 @@ IDLE_S = 3.0
 WORKER_NAME = "stonefall-work"
 """Name of a measuring process in `ps` and `top`."""
 
-
 _starting = threading.Lock()
 """Held while a process is started, so that it is told apart from those of others."""
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+
+class JobPool(Protocol):
+    """A started pool of workers, of this machine or a cluster; `WorkerPool` says what its methods do and raise."""
+
+    @property
+    def size(self) -> int: ...
+
+    @property
+    def n_waiting(self) -> int: ...
+
+    @property
+    def threads_per_job(self) -> int: ...
+
+    async def run(self, function: Callable[[Job], Result], job: Job) -> Result: ...
+
+    async def run_when_idle(
+        self, function: Callable[[Job], Result], make_job: Callable[[], Job]
+    ) -> Result: ...
 
 
 class WorkerStartError(ServiceError):
@@ -73,6 +94,8 @@ class JobLostError(ServiceError):
 
 class WorkerPool:
     """Runs jobs in worker processes: `start`, any number of concurrent `run`, `close`; all on the event loop.
+
+    In `async with` it is started and closed.
 
     `prepare` and the context must be picklable, like jobs and results. Processes that start together share the
     compiling: none begins a warm-up that another one is running. `renew` replaces processes that had to compile, when
@@ -119,18 +142,26 @@ class WorkerPool:
 
     @property
     def pids(self) -> list[int]:
-        return [slot.pid for slot in self._slots if slot.pid is not None]
+        return [
+            pid for slot in self._slots if slot.process is not None and (pid := slot.process.pid) is not None
+        ]
 
     def checks(self) -> Checks:
         return {"workers": workers_check(len(self.pids), self.size, self.restarts, self.trouble)}
 
-    async def start(self) -> None:
-        """Return when every worker is warm.
+    async def __aenter__(self) -> Self:
+        try:
+            await self.start()
+        except BaseException:
+            self.close()
+            raise
+        return self
 
-        Raises
-        ------
-        WorkerStartError
-        """
+    async def __aexit__(self, *error: object) -> None:
+        self.close()
+
+    async def start(self) -> None:
+        """Return when every worker is warm; raise `WorkerStartError` when one cannot be."""
         await asyncio.gather(*(slot.start() for slot in self._slots))
         for slot in self._slots:
             self._idle.put_nowait(slot)
@@ -142,12 +173,7 @@ class WorkerPool:
     async def run_when_idle(self, function: Callable[[Job], Result], make_job: Callable[[], Job]) -> Result:
         """Return `function(make_job())`, the job made once a slot is idle; a `WorkerFailure` counts as a crash.
 
-        Raises
-        ------
-        JobLostError
-            It failed twice.
-        WorkerStartError
-            The slot could not be rebuilt.
+        Raises `JobLostError` when it failed twice, `WorkerStartError` when the slot could not be rebuilt.
         """
         self._n_jobs += 1
         self.n_waiting += 1
@@ -192,7 +218,7 @@ class WorkerPool:
 
     async def _rebuild(self, slot: "_Slot", failure: JobLostError) -> None:
         self.restarts += 1
-        self._last_failure, self._last_failure_s = str(failure), time.monotonic()
+        self._note(failure)
         slot.kill()
         while True:
             try:
@@ -201,36 +227,19 @@ class WorkerPool:
                 if self._retry_s is None:
                     raise
                 log.error("%s: again in %g s", err, self._retry_s)
-                self._last_failure, self._last_failure_s = str(err), time.monotonic()
+                self._note(err)
                 await asyncio.sleep(self._retry_s)
+
+    def _note(self, failure: ServiceError) -> None:
+        self._last_failure, self._last_failure_s = str(failure), time.monotonic()
 
     def close(self) -> None:
         """Kill all processes; jobs that still run in them are lost."""
-        processes = [process for slot in self._slots if (process := slot.process) is not None]
+        sentinels = [slot.process.sentinel for slot in self._slots if slot.process is not None]
         for slot in self._slots:
             slot.kill()
-        for process in processes:  # their folder is about to be removed
-            wait([process.sentinel], timeout=CLOSE_DEADLINE_S)
-
-
-async def run_in_new_process(
-    function: Callable[[Job], Result], job: Job, *, deadline_s: float, prepare: Prepare
-) -> Result:
-    """Return `function(job)`, computed in a new process, so that bundles do not wait for a long job.
-
-    Raises
-    ------
-    JobLostError
-        It failed twice.
-    WorkerStartError
-        The process does not start.
-    """
-    pool = WorkerPool(slots=1, deadline_s=deadline_s, prepare=prepare, context=None)
-    try:
-        await pool.start()
-        return await pool.run(function, job)
-    finally:
-        pool.close()
+        for sentinel in sentinels:  # their folder is about to be removed
+            wait([sentinel], timeout=CLOSE_DEADLINE_S)
 
 
 class _Slot:
@@ -249,10 +258,6 @@ class _Slot:
         self._pidfd = -1
         self.has_compiled = False
         self.busy = asyncio.Lock()
-
-    @property
-    def pid(self) -> int | None:
-        return None if self.process is None else self.process.pid
 
     async def start(self) -> None:
         """Start a process and warm it up for jobs."""
@@ -318,18 +323,20 @@ class _Slot:
             successor.kill()
 
     async def run(self, function: Callable[[Job], Result], job: Job, deadline_s: float) -> Result:
-        if self._executor is None:
+        if self._executor is None or self.process is None:
             raise WorkerStartError("the worker pool is not running")
+        pid = self.process.pid
         try:
             async with asyncio.timeout(deadline_s):
                 return await asyncio.wrap_future(self._executor.submit(function, job))
         except TimeoutError:
             raise JobLostError(LossReason.DEADLINE, f"not finished within {deadline_s:g} s") from None
         except BrokenProcessPool as err:
-            raise JobLostError(LossReason.WORKER_CRASH, f"worker process {self.pid} died") from err
+            raise JobLostError(LossReason.WORKER_CRASH, f"worker process {pid} died") from err
         except WorkerFailure as err:
-            log.error("a job failed in worker process %s:\n%s", self.pid, err)
-            detail = _last_line(str(err))
+            log.error("a job failed in worker process %s:\n%s", pid, err)
+            # type and message of the exception, without the folders of paths because clients can read it
+            detail = re.sub(r"(?<![\w.])/\S*/", "", str(err).strip().rpartition("\n")[2])
             raise JobLostError(LossReason.WORKER_CRASH, detail, is_hosts=err.is_hosts) from err
 
     def kill(self) -> None:
@@ -342,11 +349,6 @@ class _Slot:
         if self._executor is not None:
             self._executor.shutdown(wait=False, cancel_futures=True)
         self.process = self._executor = None
-
-
-def _last_line(traceback: str) -> str:
-    """Return type and message of the exception, without the folders of paths because clients can read it."""
-    return re.sub(r"(?<![\w.])/\S*/", "", traceback.strip().rpartition("\n")[2])
 
 
 def workers_check(n_up: int, n_slots: int, restarts: int, trouble: str | None) -> HealthCheck:

@@ -65,12 +65,7 @@ def _run_when_idle() -> None:
 def keep_frames(job: KeepJob) -> str | None:
     """Write the bundle durably; return the problem of the disk if it cannot be written.
 
-    Raises
-    ------
-    RecordingError
-        Nothing of the bundle can be read.
-    WorkerFailure
-        Any other exception.
+    Raises `RecordingError` when nothing of the bundle can be read, else `WorkerFailure`.
     """
     bundle = None
     if job.compression == "none":  # copied as it is: verifying pixels by their checksums would take as long

@@ -107,12 +107,7 @@ class RecordingRefusedError(ProblemError):
 
 
 def require_room(folder: Path, n_bundles: int, source: RecordingSource, reserve_bytes: int) -> None:
-    """Refuse a recording that would not fit in addition to the reserve; `folder` need not exist yet.
-
-    Raises
-    ------
-    RecordingRefusedError
-    """
+    """Refuse a recording that would not fit in addition to the reserve; `folder` need not exist yet."""
     while not folder.exists():
         folder = folder.parent
     free_bytes = shutil.disk_usage(folder).free
@@ -184,13 +179,7 @@ class Recordings:
             self._live.offer(bundle)
 
     async def start(self, plan: RecordingRequest) -> RecordingStatus:
-        """Begin a recording.
-
-        Raises
-        ------
-        RecordingRefusedError
-            The name is taken, another recording is under way, or the disk has no room for it.
-        """
+        """Begin a recording; it is refused if the name is taken, another one is under way, or there is no room."""
         path = self._folder / plan.name
         await asyncio.to_thread(self._require_name_and_room, path, plan)
         # no await from here on: of two simultaneous requests only one starts a recording
@@ -234,13 +223,7 @@ class Recordings:
         return await asyncio.to_thread(recording_in, self._folder, name) or self._failed.get(name)
 
     async def delete(self, name: str) -> bool:
-        """Delete a recording; return whether there was one of that name.
-
-        Raises
-        ------
-        RecordingRefusedError
-            It is under way.
-        """
+        """Delete a recording, unless it is under way; return whether there was one of that name."""
         if self._live is not None and self._live.path.name == name:
             raise RecordingRefusedError(Refusal.RUNNING, f"recording {name} is under way: stop it first")
         has_failed = self._failed.pop(name, None) is not None

@@ -16,7 +16,7 @@ from pathlib import Path
 from drivers.errors import RecordingError
 from service.processing import measure_job
 from service.processing.measure_job import MeasuredBundle, MeasureJob, WorkerContext, measure
-from service.processing.resting_pool import Pool, RestingPool
+from service.processing.resting_pool import RestingPool
 from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError
 from service.processing.worker_process import WarmUp
 from service.remeasuring.hindrance import Hindrance, RemeasureError
@@ -57,7 +57,7 @@ class Remeasuring:
         processing: BackgroundInUse,
         *,
         context: WorkerContext,
-        make_pool: Callable[[], Pool],
+        make_pool: Callable[[], WorkerPool],
         folder: Path,
         save_silhouettes: bool,
     ) -> None:

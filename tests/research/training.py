@@ -61,12 +61,8 @@ def train_network(
 ) -> dict[str, Any]:
     """Write the ONNX file `out` and its description `out.json`, which is returned; report progress to `say`.
 
-    `n_jobs` processes render and compose.
-
-    Raises
-    ------
-    UsageError
-        PyTorch is not installed, or sees no GPU though `device` is one.
+    `n_jobs` processes render and compose. Raises `UsageError` when PyTorch is not installed, or sees no GPU though
+    `device` is one.
     """
     try:
         import torch

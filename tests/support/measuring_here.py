@@ -4,8 +4,8 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
-from service.processing.job_pool import Job, JobPool, Result
 from service.processing.measure_job import WorkerContext, begin
+from service.processing.worker_pool import Job, JobPool, Result
 
 
 @dataclass(frozen=True)

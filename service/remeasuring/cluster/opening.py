@@ -3,8 +3,8 @@
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from service.processing.job_pool import JobPool
 from service.processing.measure_job import WorkerContext
+from service.processing.worker_pool import JobPool
 from service.remeasuring.cluster.executor import require_distributed, scheduler_address
 
 

@@ -20,11 +20,10 @@ from distributed import CancelledError, Client, KilledWorker
 
 from drivers.errors import RecordingError
 from drivers.files.recording import read_header
-from service.processing.job_pool import Job, Result
 from service.processing.measure_job import MeasuredBundle, MeasureJob, WorkerContext, prepare_to_learn
 from service.processing.resting_pool import RestingPool
 from service.processing.segmenters import CLASSICAL
-from service.processing.worker_pool import JobLostError, WorkerPool
+from service.processing.worker_pool import Job, JobLostError, Result, WorkerPool
 from service.remeasuring.cluster.contents import Content, content_of, read_content
 from service.remeasuring.cluster.executor import ClusterError
 from service.remeasuring.cluster.tasks import (

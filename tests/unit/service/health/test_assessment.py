@@ -33,9 +33,8 @@ from service.health.optical_watch import OpticalFinding, Severity, optics_check
 from service.health.refinement_watch import RefinementTrend, RefinementWatch
 from service.health.rig_watch import CameraScore, Suspicion, rig_check
 from service.health.segmentation_watch import SegmentationWatch
-from service.processing.bundle_files import BundleFiles
 from service.processing.segmenters import CLASSICAL, SegmenterPlan
-from service.processing.spool import Spool
+from service.processing.spool import BundleFiles, Spool
 from service.processing.worker_pool import workers_check
 from service.store.checks import (
     LOW_DISK_BYTES,

@@ -13,8 +13,7 @@ from drivers.files.recording import read_bundle
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 from service.bundling.window import MissingReason
 from service.processing import spool as spool_module
-from service.processing.bundle_files import SPARE_FILES, BundleFiles
-from service.processing.spool import Loss, Spool, SpooledBundle
+from service.processing.spool import SPARE_FILES, BundleFiles, Loss, Spool, SpooledBundle
 from service.results.fields import LossReason
 
 CAMERAS = (CameraId("c01"), CameraId("c02"))

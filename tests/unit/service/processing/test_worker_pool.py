@@ -5,8 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -23,18 +22,11 @@ from support.worker_jobs import (
     wait_for,
 )
 
-from service.processing.measure_job import lower_priority
-from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError, run_in_new_process
+from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError
 
 
-@asynccontextmanager
-async def pool_of(slots: int, deadline_s: float = 10.0) -> AsyncIterator[WorkerPool]:
-    pool = WorkerPool(slots=slots, deadline_s=deadline_s, prepare=prepare, context="hello")
-    await pool.start()
-    try:
-        yield pool
-    finally:
-        pool.close()
+def pool_of(slots: int, deadline_s: float = 10.0) -> WorkerPool:
+    return WorkerPool(slots=slots, deadline_s=deadline_s, prepare=prepare, context="hello")
 
 
 async def test_each_slot_is_one_warm_process_of_its_own():
@@ -218,16 +210,17 @@ async def test_a_worker_that_cannot_be_replaced_is_tried_until_it_can(tmp_path: 
 
 
 async def test_what_takes_long_has_a_process_of_its_own(tmp_path: Path):
-    assert (
-        await run_in_new_process(
-            stumble, Stumble(tmp_path, "kill", 0), deadline_s=PATIENCE_S, prepare=lower_priority
-        )
-        == "done"
-    )
+    async with pool_of(1, PATIENCE_S) as pool:
+        assert await pool.run(stumble, Stumble(tmp_path, "kill", 0)) == "done"
     (pid,) = noted_pids(tmp_path)
     assert pid != os.getpid()
     others = set(multiprocessing.active_children())
-    staying = asyncio.create_task(run_in_new_process(stay, None, deadline_s=60.0, prepare=lower_priority))
+
+    async def stay_apart() -> None:
+        async with pool_of(1, 60.0) as pool:
+            await pool.run(stay, None)
+
+    staying = asyncio.create_task(stay_apart())
     while not (started := set(multiprocessing.active_children()) - others):  # noqa: ASYNC110 - there is no event to wait for
         await asyncio.sleep(0.01)
     staying.cancel()
