@@ -11,7 +11,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AsyncExitStack
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Protocol
 
 from drivers.factory import Devices
@@ -60,16 +60,13 @@ class TriggerLog(Protocol):
         self, session: int, triggers: Mapping[str, Trigger], gate_count: GateCount | None
     ) -> None:
         """Record triggers, and the gate's count at the last if everything counted before it is recorded."""
-        ...
 
     async def forget_gate_count(self, session: int) -> None:
         """Record that the gate was disarmed: what it counts from now on is not missed."""
-        ...
 
     @property
     def trouble(self) -> object | None:
         """Why nothing can be recorded now, in words as text; None when it can."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +84,8 @@ class Acquisition:
 
     Bundles are passed to `on_bundle` in the order of their triggers; `on_progress` is called at every turn of
     the pump. While `is_ball` returns True, triggers are of calibration balls instead of stones. While triggers cannot
-    be recorded, the acquisition is held. `on_state` is called with each new state, and why it is held.
+    be recorded, the acquisition is held; without `triggers` they need no outcome. `on_state` is called with each new
+    state, and why it is held.
     """
 
     def __init__(
@@ -95,10 +93,10 @@ class Acquisition:
         devices: Devices,
         parameters: AcquisitionParameters,
         *,
-        triggers: TriggerLog,
+        triggers: TriggerLog | None = None,
         is_ball: Callable[[], bool] = lambda: False,
         on_bundle: Callable[[FrameBundle], None],
-        on_progress: Callable[[], None],
+        on_progress: Callable[[], None] = lambda: None,
         on_state: Callable[[AcquisitionState, str | None], None] = lambda state, trouble: None,
     ) -> None:
         self._devices = devices
@@ -169,7 +167,8 @@ class Acquisition:
 
     def status(self) -> AcquisitionStatus:
         """Return state and counters of the rig."""
-        counters = self.counters
+        counters = asdict(self.counters)
+        del counters["cameras"]
         now_s = time.monotonic()
         is_starved = now_s - (self._last_stone_s or self._started_s) > SUSPENDED_S
         is_armed = self.state is AcquisitionState.ARMED
@@ -183,12 +182,7 @@ class Acquisition:
             gate_error=self.gate.last_error if self.gate.state is DeviceState.LOST else None,
             gate_warnings=(*self._devices.gate.warnings, *self._gate_watch.warnings(now_s)),
             last_stone_age_s=None if self._last_stone_s is None else round(now_s - self._last_stone_s, 3),
-            triggers=counters.triggers,
-            orphans=counters.orphans,
-            unseen=counters.unseen,
-            in_dead_time=counters.in_dead_time,
-            triggers_ignored=counters.triggers_ignored,
-            triggers_lost=counters.triggers_lost,
+            **counters,
             events_refused=0 if self._inbox is None else sum(self._inbox.refused.values()),
         )
 
@@ -214,7 +208,8 @@ class Acquisition:
             if not self._disarm_requested.is_set():
                 async with asyncio.TaskGroup() as tasks:
                     await self._run_armed(tasks)
-                await self._triggers.forget_gate_count(self._parameters.session)
+                if self._triggers is not None:
+                    await self._triggers.forget_gate_count(self._parameters.session)
             self._set_state(AcquisitionState.DISARMED)
             self.settled.set()
 
@@ -249,7 +244,7 @@ class Acquisition:
             ending.push_async_callback(self.gate.close)
             ending.push_async_callback(self._pump_last_frames, inbox, assembler)
             ending.push_async_callback(self.gate.disarm)
-            await self.gate.tried()
+            await self.gate.tried.wait()
             ending.callback(self._set_state, AcquisitionState.DISARMING)
             exposing = tasks.create_task(self._expose_empty_rig(assembler))
             ending.callback(exposing.cancel)
@@ -268,7 +263,8 @@ class Acquisition:
         """Set the state to held or armed, depending on whether the next stone can be measured."""
         trouble = self.gate.last_error if self.gate.state is DeviceState.LOST else None
         trouble = trouble or self.cameras.trouble(self._min_cameras)
-        if not trouble and (unrecorded := self._triggers.trouble) is not None:
+        unrecorded = None if self._triggers is None else self._triggers.trouble
+        if not trouble and unrecorded is not None:
             trouble = f"store: {unrecorded}"
         if trouble and not self.trouble:  # one alarm a cause: its consequences are not logged
             log.error("acquisition held: %s", trouble)
@@ -278,16 +274,15 @@ class Acquisition:
         self._set_state(AcquisitionState.HELD if trouble else AcquisitionState.ARMED)
 
     async def _expose_empty_rig(self, assembler: BundleAssembler) -> None:
+        quiet_s = self._parameters.bundling.quiet_s
+
         async def fire() -> None:
             if self.gate.state is DeviceState.ARMED:
                 await self.gate.call(self._devices.gate.test_pulse)
 
         def is_quiet(for_s: float) -> bool:
-            return (
-                self.state is AcquisitionState.ARMED
-                and assembler.next_deadline_ns is None
-                and time.monotonic() - self._last_trigger_s > max(for_s, self._parameters.bundling.quiet_s)
-            )
+            is_idle = self.state is AcquisitionState.ARMED and assembler.next_deadline_ns is None
+            return is_idle and time.monotonic() - self._last_trigger_s > max(for_s, quiet_s)
 
         await expose_empty_rig(self._parameters.empty_rig, fire, is_quiet)
 
@@ -295,7 +290,11 @@ class Acquisition:
         """Handle and return the next event; if none comes, close the bundles that are due and return None."""
         now_ns = self._devices.clock()  # before asking the inbox, see BundleAssembler
         event = await inbox.get(timeout_s=IDLE_S)
-        self._allow_for_stall(assembler)
+        turn_ns, last_turn_ns = time.monotonic_ns(), self._last_turn_ns
+        self._last_turn_ns = turn_ns
+        if last_turn_ns is not None and turn_ns - last_turn_ns > STALL_NS:
+            log.warning("the process stood still for_s=%.1f", (turn_ns - last_turn_ns) / 1e9)
+            assembler.extend_deadlines(turn_ns - last_turn_ns)
         if event is None:
             bundles = assembler.advance(now_ns)
         else:
@@ -314,15 +313,6 @@ class Acquisition:
         await self._hand_over(bundles)
         self._on_progress()
         return event
-
-    def _allow_for_stall(self, assembler: BundleAssembler) -> None:
-        """Extend the deadlines of frames if this process, or the whole machine, stood still since the last turn."""
-        now_ns = time.monotonic_ns()
-        stalled_ns = now_ns - (self._last_turn_ns or now_ns)
-        self._last_turn_ns = now_ns
-        if stalled_ns > STALL_NS:
-            log.warning("the process stood still for_s=%.1f", stalled_ns / 1e9)
-            assembler.extend_deadlines(stalled_ns)
 
     async def _pump_last_frames(self, inbox: EventInbox, assembler: BundleAssembler) -> None:
         """Pump events until every stone that passed the gate has its bundle."""
@@ -343,14 +333,15 @@ class Acquisition:
 
     async def _hand_over(self, bundles: list[FrameBundle]) -> None:
         """Pass bundles on; triggers that the gate did not announce are recorded first."""
+        now_ns = self._devices.clock()
         unannounced = [bundle.trigger for bundle in bundles if not bundle.trigger.is_announced]
-        recorded = iter(await self._record([self._with_utc(trigger) for trigger in unannounced]))
+        dated = [replace(trigger, utc=utc_ago(now_ns - trigger.received_ns)) for trigger in unannounced]
+        recorded = iter(await self._record(dated))
         for bundle in bundles:
             if not bundle.trigger.is_announced:
                 bundle = replace(bundle, trigger=next(recorded))
-                level = logging.DEBUG if self.gate.state is DeviceState.LOST else logging.WARNING
                 log.log(
-                    level,
+                    logging.DEBUG if self.gate.state is DeviceState.LOST else logging.WARNING,
                     "stone without an announcement bundle=%s views=%d stones=%d",
                     bundle.name,
                     len(bundle.frames),
@@ -362,15 +353,12 @@ class Acquisition:
             self._on_bundle(bundle)
             self._on_progress()
 
-    def _with_utc(self, trigger: Trigger) -> Trigger:
-        return replace(trigger, utc=utc_ago(self._devices.clock() - trigger.received_ns))
-
     async def _record(
         self, triggers: Sequence[Trigger], gate_count: GateCount | None = None
     ) -> list[Trigger]:
         """Make triggers durable in one transaction, and return them with their names."""
         named = {str(trigger.name): trigger for trigger in map(self._with_name, triggers)}
-        if named:
+        if named and self._triggers is not None:
             await self._triggers.record_triggers(self._parameters.session, named, gate_count)
         return list(named.values())
 

@@ -9,11 +9,12 @@ import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import TypeVar
 
 from drivers.errors import DeviceError, LossCause
 from drivers.interfaces import Camera, CameraVitals, EventSink, LightGate
-from service.acquisition.common_cause import DeviceLoss
 from service.base.status import DeviceState
 
 log = logging.getLogger(__name__)
@@ -37,8 +38,22 @@ CONTROL_THREAD_SUFFIX = " control"
 Result = TypeVar("Result")
 
 
+@dataclass(frozen=True, slots=True)
+class DeviceLoss:
+    """The reason and the kind of cause for which a device is lost."""
+
+    reason: str
+    cause: LossCause
+
+    def is_like(self, other: "DeviceLoss | None") -> bool:
+        """True if both losses have one cause; losses of cause `OTHER` must have one reason as well."""
+        return other is not None and (
+            self == other if self.cause is LossCause.OTHER else self.cause is other.cause
+        )
+
+
 class DeviceKeeper:
-    """Keeps a device armed from `start` to `close`; the first attempt is over when `tried` returns.
+    """Keeps a device armed from `start` to `close`; `tried` is set when the first attempt has succeeded or failed.
 
     `on_lost` is called for a loss that the device did not report itself, `on_back` for every return from a loss.
     """
@@ -59,7 +74,7 @@ class DeviceKeeper:
         """The latest loss, None as long as there was none."""
         self.recoveries = 0
         self.vitals = CameraVitals()
-        self._tried = asyncio.Event()
+        self.tried = asyncio.Event()
         self._disarmed = asyncio.Event()
         self._may_close = asyncio.Event()
         self._examine = examine
@@ -82,13 +97,9 @@ class DeviceKeeper:
     def start(self, sink: EventSink, tasks: asyncio.TaskGroup) -> None:
         """Keep the device armed until `close`, after which it may be started again."""
         self._is_ending = False
-        for event in (self._tried, self._disarmed, self._may_close):
+        for event in (self.tried, self._disarmed, self._may_close):
             event.clear()
         self._task = tasks.create_task(self._run(sink))
-
-    async def tried(self) -> None:
-        """Return when the first attempt to arm the device has succeeded or failed."""
-        await self._tried.wait()
 
     async def disarm(self) -> None:
         """Disarm the device and keep it open until `close`; return when it is disarmed."""
@@ -152,13 +163,11 @@ class DeviceKeeper:
                         self._mark_armed()
                         await self._examine_until_lost()
                     failures = self._n_relapses
-                self._tried.set()
+                self.tried.set()
                 if self.state is DeviceState.LOST:
                     await self.call(self.device.close)
                     self._wake.clear()  # set by the loss itself
-                    is_there_again = (
-                        failures == 0 and self.loss is not None and self.loss.cause in BACK_AT_ONCE
-                    )
+                    is_there_again = failures == 0 and self.loss and self.loss.cause in BACK_AT_ONCE
                     if not self._is_ending and not is_there_again:
                         await self._wait_for_wake(BACK_OFF_S[min(failures, len(BACK_OFF_S) - 1)])
             if self.state is DeviceState.ARMED:
@@ -169,7 +178,7 @@ class DeviceKeeper:
             self.state = DeviceState.CLOSED
         finally:
             self._thread.shutdown(wait=False)
-            self._tried.set()  # releases all waiting tasks
+            self.tried.set()  # releases all waiting tasks
             self._disarmed.set()
 
     def _mark_armed(self) -> None:
@@ -182,25 +191,22 @@ class DeviceKeeper:
             )
             self._on_back()
         self.state = DeviceState.ARMED
-        self._tried.set()
+        self.tried.set()
 
     async def _examine_until_lost(self) -> None:
         """Examine the device again and again; return when it is lost or to be disarmed."""
         while self.state is DeviceState.ARMED and not self._is_ending:
-            if self._examine is not None:
-                try:
+            try:
+                if self._examine is not None:
                     self.vitals = await self.call(self._examine)
-                except DeviceError as err:
-                    self._on_lost(err.problem, err.cause)
-                    self.mark_lost(err.problem, err.cause)
-                    return
+            except DeviceError as err:
+                self._on_lost(err.problem, err.cause)
+                self.mark_lost(err.problem, err.cause)
+                return
             await self._wait_for_wake(EXAMINE_EVERY_S)
 
     async def _wait_for_wake(self, timeout_s: float) -> None:
-        """Wait for the next wake-up, but not longer than the time-out."""
-        try:
+        with suppress(TimeoutError):
             async with asyncio.timeout(timeout_s):
                 await self._wake.wait()
-        except TimeoutError:
-            pass
         self._wake.clear()

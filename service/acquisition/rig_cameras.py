@@ -4,17 +4,17 @@ import asyncio
 import logging
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from drivers.errors import LossCause
 from drivers.interfaces import Camera, CameraBack, CameraLost, DeviceEvent, EventSink, FrameLost
 from pipeline.frames import CameraId, Frame, FrameBundle, Image
-from service.acquisition.common_cause import common_cause
-from service.acquisition.device_keeper import DeviceKeeper
+from service.acquisition.device_keeper import DeviceKeeper, DeviceLoss
 from service.acquisition.exposure_skew import ExposureSkew
 from service.base.status import CameraStatus, DeviceState
 from service.bundling.counters import BundlingCounters, CameraCounters
@@ -22,16 +22,9 @@ from service.bundling.window import MissingReason
 
 log = logging.getLogger(__name__)
 
-NOT_CAUSED_BY_CAMERA: frozenset[str] = frozenset(
-    {
-        MissingReason.CAMERA_LOST,
-        MissingReason.DEAD_TIME,
-        MissingReason.DISARMED,
-        MissingReason.STONE_PASSED,
-        MissingReason.UNSEEN,
-        MissingReason.DOWN,
-    }
-)
+NOT_CAUSED_BY_CAMERA: frozenset[str] = frozenset(MissingReason) - {
+    MissingReason.NO_FRAME, MissingReason.AMBIGUOUS, MissingReason.OTHER_EXPOSURE, MissingReason.FROZEN
+}  # fmt: skip
 """Reasons of missing frames that say nothing against an armed camera."""
 REOPENED_FOR: Mapping[str, str] = {
     MissingReason.NO_FRAME: "answers, but sends no images: look at its trigger line and its settings",
@@ -105,8 +98,8 @@ class RigCameras:
         return sum(camera.keeper.state is DeviceState.ARMED for camera in self._cameras.values())
 
     @property
-    def lost(self) -> list[CameraId]:
-        return [name for name, camera in self._cameras.items() if camera.keeper.state is DeviceState.LOST]
+    def lost(self) -> dict[CameraId, DeviceKeeper]:
+        return {name: c.keeper for name, c in self._cameras.items() if c.keeper.state is DeviceState.LOST}
 
     def use_counters(self, counters: BundlingCounters) -> None:
         """Report the counters of a new armed period, added to those of the periods before."""
@@ -119,7 +112,7 @@ class RigCameras:
         self._sink = sink
         for camera in self._cameras.values():
             camera.keeper.start(sink, tasks)
-        await asyncio.gather(*(camera.keeper.tried() for camera in self._cameras.values()))
+        await asyncio.gather(*(camera.keeper.tried.wait() for camera in self._cameras.values()))
 
     async def close(self) -> None:
         """Disarm and close all cameras."""
@@ -133,11 +126,7 @@ class RigCameras:
     @property
     def common_cause(self) -> str | None:
         """Why all cameras are lost, None as long as one is not."""
-        losses = [
-            camera.keeper.loss
-            for camera in self._cameras.values()
-            if camera.keeper.state is DeviceState.LOST and camera.keeper.loss is not None
-        ]
+        losses = [keeper.loss for keeper in self.lost.values() if keeper.loss is not None]
         return common_cause(losses) if len(losses) == len(self._cameras) > 1 else None
 
     def trouble(self, min_cameras: int) -> str | None:
@@ -146,19 +135,16 @@ class RigCameras:
             return None
         if (cause := self.common_cause) is not None:
             return cause
-        lost = [camera.keeper for camera in self._cameras.values() if camera.keeper.state is DeviceState.LOST]
-        names = ", ".join(keeper.name for keeper in lost)
-        reason = lost[0].last_error if lost else None
-        return f"{names}: {reason}; cameras armed: {self.armed}, needed: {min_cameras}"
+        reason = next((keeper.last_error for keeper in self.lost.values()), None)
+        return f"{', '.join(self.lost)}: {reason}; cameras armed: {self.armed}, needed: {min_cameras}"
 
     def refuse_repeated(self, event: DeviceEvent) -> DeviceEvent:
         """Return the event, or a `FrameLost` in the place of an image that repeats the camera's previous one."""
         if isinstance(event, Frame) and self._is_live:
             previous = self._cameras[event.camera].image
             if previous is not None and np.array_equal(previous, event.image):
-                return FrameLost(
-                    camera=event.camera, received_ns=event.received_ns, reason=MissingReason.FROZEN
-                )
+                frozen = MissingReason.FROZEN
+                return FrameLost(camera=event.camera, received_ns=event.received_ns, reason=frozen)
         return event
 
     def track(self, event: DeviceEvent) -> None:
@@ -180,13 +166,11 @@ class RigCameras:
         self._skew.feed({name: frame.device_ns for name, frame in bundle.frames.items()})
         silent = []
         for name, camera in self._cameras.items():
-            frame = bundle.frames.get(name)
-            if frame is not None:
+            is_armed = camera.keeper.state is DeviceState.ARMED
+            if (frame := bundle.frames.get(name)) is not None:
                 camera.misses = 0
                 camera.latencies_ms.append((frame.received_ns - bundle.trigger.received_ns) / 1e6)
-            elif (
-                camera.keeper.state is DeviceState.ARMED and bundle.missing[name] not in NOT_CAUSED_BY_CAMERA
-            ):
+            elif is_armed and bundle.missing[name] not in NOT_CAUSED_BY_CAMERA:
                 camera.last_miss_reason = bundle.missing[name]
                 silent.append((name, camera))
         if bundle.frames:
@@ -199,77 +183,68 @@ class RigCameras:
                 continue
             camera.misses += 1
             if camera.misses == MAX_MISSES:
-                log.warning("%s camera=%s", _miss_warnings(camera)[0], name)
+                log.warning("%s camera=%s", _miss_warning(camera), name)
             if camera.misses % MAX_MISSES == 0 and camera.last_miss_reason in REOPENED_FOR:
                 self._report_lost(name, REOPENED_FOR[camera.last_miss_reason])
 
     def statuses(self) -> list[CameraStatus]:
         """Return state, and counters since the start, of all cameras, in the order of the rig."""
-        now_s = time.monotonic()
-        return [
-            _status(name, camera, now_s, self._skew.skew_us(name)) for name, camera in self._cameras.items()
-        ]
+        return [_status(name, camera, self._skew.skew_us(name)) for name, camera in self._cameras.items()]
 
     def latest_image(self, name: CameraId) -> Image | None:
         """Return a camera's latest frame, None while there is none."""
         return self._cameras[name].image
 
     def _report_lost(self, name: CameraId, reason: str, cause: LossCause = LossCause.OTHER) -> None:
-        if self._sink is not None:
-            lost = CameraLost(camera=name, received_ns=self._clock(), reason=reason, cause=cause)
-            self._sink.deliver(lost)
+        self._deliver(CameraLost(camera=name, received_ns=self._clock(), reason=reason, cause=cause))
 
     def _report_back(self, name: CameraId) -> None:
+        self._deliver(CameraBack(camera=name, received_ns=self._clock()))
+
+    def _deliver(self, event: CameraLost | CameraBack) -> None:
         if self._sink is not None:
-            self._sink.deliver(CameraBack(camera=name, received_ns=self._clock()))
+            self._sink.deliver(event)
 
 
-def _status(name: CameraId, camera: _RigCamera, now_s: float, skew_us: float | None) -> CameraStatus:
-    keeper, vitals, latencies_ms = camera.keeper, camera.keeper.vitals, camera.latencies_ms
+def common_cause(losses: Sequence[DeviceLoss]) -> str:
+    """Name the cause that all lost cameras share, the network if none answers, and the first camera's reason."""
+    first = losses[0].reason
+    if all(loss.cause is LossCause.PROCESS_ENDED for loss in losses):
+        return first
+    if all(loss.cause is LossCause.SILENT for loss in losses):
+        advice = "look at the switch, its power and its uplink first"
+        return f"all {len(losses)} cameras are gone: {advice}; the first one: {first}"
+    return f"all {len(losses)} cameras are lost, the first one: {first}"
+
+
+def _status(name: CameraId, camera: _RigCamera, skew_us: float | None) -> CameraStatus:
+    """Return the status of a camera: what it says of itself and what was counted have the same names there."""
+    keeper, latencies_ms, now_s = camera.keeper, camera.latencies_ms, time.monotonic()
+    counted = camera.earlier + Counter(asdict(camera.counters))
+    told: dict[str, Any] = {**asdict(keeper.vitals), **counted, "frames": camera.frames}
+    warnings = list(told.pop("warnings"))
+    if skew_us is not None and skew_us > MAX_SKEW_US:
+        warnings.append(
+            f"exposes {skew_us:.0f} us off the other cameras: look at its trigger line and its settings"
+        )
+    if camera.misses >= MAX_MISSES:
+        warnings.append(_miss_warning(camera))
     n_recent = sum(now_s - at_s <= FPS_OVER_S for at_s in camera.received_s)
-
-    def total(counter: str) -> int:
-        return int(camera.earlier[counter] + getattr(camera.counters, counter))
-
     return CameraStatus(
         id=name,
         state=keeper.state,
         last_error=keeper.last_error,
         recoveries=keeper.recoveries,
-        serial=vitals.serial,
-        model=vitals.model,
-        address=vitals.address,
-        frames=camera.frames,
+        **told,
         fps=round(n_recent / FPS_OVER_S, 2),
-        lost=total("lost"),
-        late=total("late"),
-        duplicates=total("duplicates"),
-        missing=total("missing"),
-        strays=total("strays"),
-        not_exposed=total("not_exposed"),
-        unannounced=total("unannounced"),
-        failed_frames=vitals.failed_frames,
-        missing_packets=vitals.missing_packets,
-        resent_packets=vitals.resent_packets,
-        receive_buffer_bytes=vitals.receive_buffer_bytes,
-        temperature_c=vitals.temperature_c,
-        ptp_offset_ns=vitals.ptp_offset_ns,
         latency_ms=None if not latencies_ms else round(sum(latencies_ms) / len(latencies_ms), 3),
         latency_min_ms=None if not latencies_ms else round(min(latencies_ms), 3),
         latency_max_ms=None if not latencies_ms else round(max(latencies_ms), 3),
         last_frame_age_s=None if not camera.received_s else round(now_s - camera.received_s[-1], 3),
         skew_us=None if skew_us is None else round(skew_us, 1),
-        warnings=(*vitals.warnings, *_skew_warnings(skew_us), *_miss_warnings(camera)),
+        warnings=tuple(warnings),
     )
 
 
-def _skew_warnings(skew_us: float | None) -> tuple[str, ...]:
-    if skew_us is None or skew_us <= MAX_SKEW_US:
-        return ()
-    return (f"exposes {skew_us:.0f} us off the other cameras: look at its trigger line and its settings",)
-
-
-def _miss_warnings(camera: _RigCamera) -> tuple[str, ...]:
-    if camera.misses < MAX_MISSES:
-        return ()
-    return (f"answers, but {camera.misses} images in a row could not be used ({camera.last_miss_reason})",)
+def _miss_warning(camera: _RigCamera) -> str:
+    return f"answers, but {camera.misses} images in a row could not be used ({camera.last_miss_reason})"

@@ -16,7 +16,6 @@ from drivers.gvcp import DiscoveredCamera, discover
 from pipeline.frames import BundleKind, CameraId, FrameBundle
 from service.acquisition.acquisition import Acquisition, AcquisitionParameters
 from service.acquisition.empty_rig import EmptyRigParameters
-from service.acquisition.triggers import NoAccounting
 from service.base.status import AcquisitionTarget
 from service.bundling.parameters import BundlingParameters
 from service.configuration.rig_settings import AravisRigSettings
@@ -191,9 +190,7 @@ async def _exposed(backend: AravisBackend, bundling: BundlingParameters) -> Fram
             min_cameras=1,
             empty_rig=EmptyRigParameters(at_start=1, every_s=0),
         ),
-        triggers=NoAccounting(),
         on_bundle=bundles.put_nowait,
-        on_progress=lambda: None,
     )
     acquiring = asyncio.create_task(acquisition.run())
     acquisition.request(AcquisitionTarget.ARMED)

@@ -18,7 +18,6 @@ from drivers.files.durable import require_unused
 from drivers.files.recording import RecordingWriter
 from drivers.files.rig_file import read_rig
 from service.acquisition.acquisition import INBOX_TRIGGERS, Acquisition, AcquisitionParameters
-from service.acquisition.triggers import NoAccounting
 from service.base.errors import ServiceError, SettingsError
 from service.base.status import AcquisitionState, AcquisitionTarget
 from service.configuration.settings import Settings, load_settings, problems
@@ -91,9 +90,7 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
             min_cameras=settings.views.min,
             empty_rig=settings.empty_rig,
         ),
-        triggers=NoAccounting(),
         on_bundle=recording.offer,
-        on_progress=lambda: None,
     )
 
     def end() -> None:

@@ -1,5 +1,6 @@
 from drivers.errors import LossCause
-from service.acquisition.common_cause import DeviceLoss, common_cause
+from service.acquisition.device_keeper import DeviceLoss
+from service.acquisition.rig_cameras import common_cause
 
 
 def test_cameras_that_are_all_silent_are_the_switch():

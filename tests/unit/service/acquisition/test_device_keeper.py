@@ -68,7 +68,7 @@ async def kept(device: Device, lost: list[str] | None = None) -> AsyncIterator[D
     )
     async with asyncio.timeout(PATIENCE_S), asyncio.TaskGroup() as tasks:
         keeper.start(Collector(), tasks)
-        await keeper.tried()
+        await keeper.tried.wait()
         yield keeper
         await keeper.close()
 
@@ -169,7 +169,7 @@ async def test_a_loss_while_it_is_being_armed_counts():
     device.arm = arm_and_lose
     async with asyncio.timeout(PATIENCE_S), asyncio.TaskGroup() as tasks:
         keeper.start(Collector(), tasks)
-        await keeper.tried()
+        await keeper.tried.wait()
         assert keeper.state == "lost"
         await until(lambda: keeper.state == "armed")
         await keeper.close()
@@ -197,7 +197,7 @@ async def test_a_device_that_hangs_can_be_abandoned():
             keeper.start(Collector(), tasks)
             await asyncio.sleep(0.05)
             keeper.abandon()
-            await keeper.tried()
+            await keeper.tried.wait()
             await keeper.disarm()
             await keeper.close()
     finally:
