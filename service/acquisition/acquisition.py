@@ -35,7 +35,7 @@ from service.base.status import (
     next_state,
 )
 from service.bundling.assembler import BundleAssembler
-from service.bundling.counters import BundlingCounters
+from service.bundling.frame_account import BundlingCounters
 from service.bundling.parameters import BundlingParameters
 from service.bundling.window import MissingReason
 

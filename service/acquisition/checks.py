@@ -25,6 +25,9 @@ def rig_checks(
     blind_triggers: int,
 ) -> Checks:
     """Return the checks of all devices; `common_cause` says why all cameras are lost."""
+    # while the process of the cameras is silent, that is the reason for triggers without images
+    is_broken = blind_triggers >= BLIND_TRIGGERS and process.state is not ProcessState.SILENT
+    blind = f"{blind_triggers} triggers in a row without any image: look at the line from gate to cameras"
     of_cameras = {
         f"camera:{camera.id}": _device(camera.state, camera.last_error, camera.warnings) for camera in cameras
     }
@@ -44,7 +47,12 @@ def rig_checks(
             detail=process.trouble,
         ),
         "gate": _device(rig.gate, rig.gate_error, rig.gate_warnings),
-        "trigger_line": _trigger_line(blind_triggers, process.state),
+        "trigger_line": HealthCheck(
+            status=CheckStatus.of(fail=is_broken),
+            observed_value=blind_triggers,
+            observed_unit="triggers",
+            detail=blind if is_broken else None,
+        ),
     }
 
 
@@ -54,16 +62,4 @@ def _device(state: DeviceState, error: str | None, warnings: Sequence[str]) -> H
         status=CheckStatus.of(warn=bool(warnings), fail=is_lost),
         observed_value=state,
         detail=error if is_lost else "; ".join(warnings) or None,
-    )
-
-
-def _trigger_line(n_blind: int, process: ProcessState) -> HealthCheck:
-    """Check that triggers have images; while the process of the cameras is silent, that is the reason for none."""
-    is_broken = n_blind >= BLIND_TRIGGERS and process is not ProcessState.SILENT
-    problem = f"{n_blind} triggers in a row without any image: look at the line from gate to cameras"
-    return HealthCheck(
-        status=CheckStatus.of(fail=is_broken),
-        observed_value=n_blind,
-        observed_unit="triggers",
-        detail=problem if is_broken else None,
     )

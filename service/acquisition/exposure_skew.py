@@ -31,6 +31,22 @@ class _Clock:
     n_intervals: int = 0
     skew_us: float | None = None  # recent typical deviation
 
+    def follow(self, now_ns: int, common_ns: float) -> bool:
+        """Update drift and skew from one interval; return False if the clock was set within it."""
+        passed_ns = common_ns - self.common_ns
+        by_clock_ns = now_ns - self.device_ns
+        if abs(by_clock_ns - passed_ns) > MAX_DRIFT * passed_ns + MAX_SKEW_NS:
+            return False
+        deviation_ns = by_clock_ns - passed_ns * (1 + self.drift)
+        self.device_ns, self.common_ns = now_ns, common_ns
+        self.n_intervals += 1
+        self.drift += max(SMOOTHING, 1 / self.n_intervals) * deviation_ns / passed_ns
+        if self.n_intervals > SETTLING:
+            deviation_us = abs(deviation_ns) / 1e3
+            before_us = deviation_us if self.skew_us is None else self.skew_us
+            self.skew_us = before_us + SMOOTHING * (deviation_us - before_us)
+        return True
+
 
 @dataclass(slots=True)
 class ExposureSkew:
@@ -41,40 +57,21 @@ class ExposureSkew:
 
     def feed(self, device_ns: Mapping[CameraId, int]) -> None:
         """Update the estimates from one bundle; 0 is a camera without a clock."""
-        known = {camera: self._clocks[camera] for camera in device_ns if camera in self._clocks}
         intervals_ns = [
             clock.common_ns + (device_ns[camera] - clock.device_ns) / (1 + clock.drift) - self._common_ns
-            for camera, clock in known.items()
+            for camera, clock in self._clocks.items()
+            if camera in device_ns
         ]
         interval_ns = median(intervals_ns) if len(intervals_ns) >= MIN_CAMERAS else 0
         self._common_ns += interval_ns
+        is_comparable = 0 < interval_ns <= MAX_INTERVAL_NS
         for camera, now_ns in device_ns.items():
             clock = self._clocks.get(camera)
-            is_comparable = 0 < interval_ns <= MAX_INTERVAL_NS
-            if clock is not None and is_comparable and _is_continuous(clock, now_ns, self._common_ns):
-                _update(clock, now_ns, self._common_ns)
-            elif now_ns:
+            has_run_on = clock is not None and is_comparable and clock.follow(now_ns, self._common_ns)
+            if now_ns and not has_run_on:
                 self._clocks[camera] = _Clock(now_ns, self._common_ns)
 
     def skew_us(self, camera: CameraId) -> float | None:
         """Smoothed deviation of the camera's exposure times from the others', us; None while unknown."""
         clock = self._clocks.get(camera)
         return None if clock is None else clock.skew_us
-
-
-def _is_continuous(clock: _Clock, now_ns: int, common_ns: float) -> bool:
-    """True when the clock has run on since its last reading, without being set."""
-    passed_ns = common_ns - clock.common_ns
-    return abs(now_ns - clock.device_ns - passed_ns) <= MAX_DRIFT * passed_ns + MAX_SKEW_NS
-
-
-def _update(clock: _Clock, now_ns: int, common_ns: float) -> None:
-    passed_ns = common_ns - clock.common_ns
-    deviation_ns = now_ns - clock.device_ns - passed_ns * (1 + clock.drift)
-    clock.device_ns, clock.common_ns = now_ns, common_ns
-    clock.n_intervals += 1
-    clock.drift += max(SMOOTHING, 1 / clock.n_intervals) * deviation_ns / passed_ns
-    if clock.n_intervals > SETTLING:
-        deviation_us = abs(deviation_ns) / 1e3
-        before_us = deviation_us if clock.skew_us is None else clock.skew_us
-        clock.skew_us = before_us + SMOOTHING * (deviation_us - before_us)

@@ -4,7 +4,6 @@ Each trouble is named, with the remedy, for a minute after it was seen last.
 """
 
 from collections import deque
-from dataclasses import dataclass, field
 from statistics import median
 
 from drivers.interfaces import TriggersLost
@@ -18,20 +17,14 @@ EARLY_STONES = 5
 """Latest stones over which it is judged whether frames come too early."""
 
 
-@dataclass(slots=True)
-class _Recent:
-    """Stones of one kind of trouble within the last minute."""
+class _Recent(deque[tuple[float, int]]):
+    """Stones of one kind of trouble within the last minute: when, and how many."""
 
-    seen: deque[tuple[float, int]] = field(default_factory=deque)
-
-    def add(self, n_stones: int, now_s: float) -> None:
-        self.seen.append((now_s, n_stones))
-        self.count(now_s)
-
-    def count(self, now_s: float) -> int:
-        while self.seen and now_s - self.seen[0][0] > RECENT_S:
-            self.seen.popleft()
-        return sum(n_stones for _, n_stones in self.seen)
+    def until(self, now_s: float) -> int:
+        """Return their number, and forget those before."""
+        while self and now_s - self[0][0] > RECENT_S:
+            self.popleft()
+        return sum(n_stones for _, n_stones in self)
 
 
 class GateWatch:
@@ -50,29 +43,27 @@ class GateWatch:
         if not trigger.is_announced:
             if bundle.frames:
                 self._n_silent += 1
-                self._unannounced.add(1, now_s)
+                self._unannounced.append((now_s, 1))
             return
         self._n_silent = 0
         if bundle.frames:
-            delay_ms = (
-                median(frame.received_ns - trigger.received_ns for frame in bundle.frames.values()) / 1e6
-            )
-            self._early_ms.append(self._bundling.expected_delay_ms - delay_ms)
+            delay_ns = median(frame.received_ns for frame in bundle.frames.values()) - trigger.received_ns
+            self._early_ms.append(self._bundling.expected_delay_ms - delay_ns / 1e6)
 
     def note_late(self, now_s: float) -> None:
         """Note an announcement that came when its stone had become an orphan."""
         self._n_silent = 0
-        self._late.add(1, now_s)
+        self._late.append((now_s, 1))
 
     def note_gap(self, gap: TriggersLost, now_s: float) -> None:
         """Note a gap in the gate's own counter."""
-        self._counted.add(gap.count, now_s)
+        self._counted.append((now_s, gap.count))
         self._counted_why = gap.reason
 
     def warnings(self, now_s: float) -> tuple[str, ...]:
         """Return the present troubles of the gate, each with the remedy."""
-        n_late, n_counted = self._late.count(now_s), self._counted.count(now_s)
-        n_unannounced = self._unannounced.count(now_s) - n_late
+        n_late, n_counted = self._late.until(now_s), self._counted.until(now_s)
+        n_unannounced = self._unannounced.until(now_s) - n_late
         found = []
         if n_unannounced >= 1 and self._n_silent >= SILENT_STONES:
             found.append(

@@ -17,7 +17,7 @@ from pipeline.frames import CameraId, Frame, FrameBundle, Image
 from service.acquisition.device_keeper import DeviceKeeper, DeviceLoss
 from service.acquisition.exposure_skew import ExposureSkew
 from service.base.status import CameraStatus, DeviceState
-from service.bundling.counters import BundlingCounters, CameraCounters
+from service.bundling.frame_account import BundlingCounters, CameraCounters
 from service.bundling.window import MissingReason
 
 log = logging.getLogger(__name__)

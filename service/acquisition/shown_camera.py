@@ -41,14 +41,19 @@ class ShownCamera:
             await asyncio.wait([self._task])
 
     async def _show(self, camera: Camera, seconds: float, told: asyncio.Future[CameraVitals]) -> None:
+        is_on = True
         try:
             await asyncio.to_thread(camera.open)
             vitals = await asyncio.to_thread(camera.examine)
-            await asyncio.to_thread(camera.light, is_on=True)
+            await asyncio.to_thread(camera.light, is_on=is_on)
             told.set_result(vitals)
             with suppress(TimeoutError):
                 async with asyncio.timeout(seconds):
-                    await self._blink(camera)
+                    while not self._enough.is_set():
+                        with suppress(TimeoutError):
+                            await asyncio.wait_for(self._enough.wait(), BLINK_S)
+                        is_on = not is_on
+                        await asyncio.to_thread(camera.light, is_on=is_on)
         except CameraUnavailableError as err:
             if told.done():
                 log.warning("a camera was lost while it blinked: %s", err)
@@ -58,12 +63,3 @@ class ShownCamera:
             if not told.done():
                 told.cancel()
             await asyncio.to_thread(camera.close)
-
-    async def _blink(self, camera: Camera) -> None:
-        """Blink until it is enough."""
-        is_on = True
-        while not self._enough.is_set():
-            with suppress(TimeoutError):
-                await asyncio.wait_for(self._enough.wait(), BLINK_S)
-            is_on = not is_on
-            await asyncio.to_thread(camera.light, is_on=is_on)

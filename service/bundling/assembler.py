@@ -16,6 +16,7 @@ from bisect import insort
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
+from operator import attrgetter
 
 from drivers.errors import LossCause
 from drivers.interfaces import (
@@ -30,10 +31,9 @@ from drivers.interfaces import (
     TriggersLost,
 )
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
-from service.bundling.counters import BundlingCounters, CameraCounters
 from service.bundling.exposure_check import ExposureCheck, MatchedFrame
-from service.bundling.frame_account import FrameAccount
-from service.bundling.missed_triggers import MissedTriggers, Unseen
+from service.bundling.frame_account import BundlingCounters, CameraCounters, FrameAccount
+from service.bundling.missed_triggers import Gap, MissedTriggers
 from service.bundling.parameters import IN_VIEW_NS, BundlingParameters
 from service.bundling.window import MissingReason, OpenTrigger
 
@@ -67,7 +67,9 @@ class BundleAssembler:
     @property
     def next_deadline_ns(self) -> int | None:
         """Time to call `advance` at if no event comes before, None while no trigger is open."""
-        return self._deadline_ns(self._open[0]) if self._open else None
+        if not self._open:
+            return None
+        return self._open[0].expected_ns + self._window_ns + DELIVERY_NS + self._open[0].stalled_ns
 
     @property
     def has_gap(self) -> bool:
@@ -85,7 +87,7 @@ class BundleAssembler:
                 else:
                     self.counters.cameras[event.camera].lost += 1
                 if not self._match(event):
-                    insort(self._unmatched, event, key=_received_ns)
+                    insort(self._unmatched, event, key=attrgetter("received_ns"))
             case CameraLost():
                 self._lost_cameras.add(event.camera)
                 if event.cause is not LossCause.PROCESS_ENDED:  # else it kept its power
@@ -101,7 +103,7 @@ class BundleAssembler:
                 self.counters.triggers_lost += event.count
                 due_ns = event.received_ns + self._delay_ns + self._window_ns + DELIVERY_NS
                 reason = MissingReason.DOWN if event.while_down else MissingReason.UNSEEN
-                self._missed.note_gap(event.count, event.received_ns, due_ns, reason)
+                self._missed.note_gap(Gap(event.received_ns, event.count, reason, due_ns))
             case PulseEnded():
                 for window in self._open:
                     if window.trigger.sequence == event.sequence:
@@ -116,11 +118,10 @@ class BundleAssembler:
         """Return the bundles of the triggers that are complete or past their deadline."""
         while self._unmatched and now_ns - self._unmatched[0].received_ns > self._window_ns:
             if not self._open_orphan():
-                self._count_unmatched([self._unmatched.pop(0)])
+                self._account.count_unmatched([self._unmatched.pop(0)], self._open)
         bundles = []
-        n_cameras = len(self._camera_ids)
-        while self._open and (
-            self._open[0].is_complete(n_cameras) or now_ns >= self._deadline_ns(self._open[0])
+        while (deadline_ns := self.next_deadline_ns) is not None and (
+            now_ns >= deadline_ns or self._open[0].is_complete(len(self._camera_ids))
         ):
             bundles.append(self._close(self._open.popleft()))
         return bundles + self._unseen(self._missed.take_unseen(now_ns))
@@ -132,7 +133,7 @@ class BundleAssembler:
 
     def flush(self, reason: MissingReason = MissingReason.NO_FRAME) -> list[FrameBundle]:
         """Return the bundles of all open triggers now; `reason` is that of the frames still expected."""
-        self._count_unmatched(self._unmatched)
+        self._account.count_unmatched(self._unmatched, self._open)
         self._unmatched = []
         bundles = [self._close(window, reason) for window in self._open]
         self._open.clear()
@@ -218,19 +219,19 @@ class BundleAssembler:
         self._open_window(trigger)
         return True
 
-    def _unseen(self, unseen: list[Unseen]) -> list[FrameBundle]:
+    def _unseen(self, unseen: list[Gap]) -> list[FrameBundle]:
         """Return bundles without frames for triggers that only the gate's counter knows."""
-        n_unseen = sum(trigger.n_stones for trigger in unseen)
+        n_unseen = sum(gap.n_triggers for gap in unseen)
         self.counters.triggers += n_unseen
         self.counters.incomplete += n_unseen
         self.counters.unseen += n_unseen
         return [
             FrameBundle(
-                trigger=replace(self._unannounced(trigger.reported_ns), n_stones=trigger.n_stones),
+                trigger=replace(self._unannounced(gap.received_ns), n_stones=gap.n_triggers),
                 frames={},
-                missing=dict.fromkeys(self._camera_ids, trigger.reason),
+                missing=dict.fromkeys(self._camera_ids, gap.reason),
             )
-            for trigger in unseen
+            for gap in unseen
         ]
 
     def _unannounced(self, received_ns: int) -> Trigger:
@@ -306,17 +307,6 @@ class BundleAssembler:
             self.counters.complete += 1
         return bundle
 
-    def _count_unmatched(self, events: Iterable[Frame | FrameLost]) -> None:
-        """Count the frames among events that are dropped because no trigger came for them."""
-        self._account.count_unmatched([event for event in events if isinstance(event, Frame)], self._open)
-
-    def _deadline_ns(self, window: OpenTrigger) -> int:
-        return window.expected_ns + self._window_ns + DELIVERY_NS + window.stalled_ns
-
 
 def _exposure(frame: Frame, window: OpenTrigger) -> MatchedFrame:
     return MatchedFrame(frame.device_ns, frame.frame_id, window.trigger.received_ns, window.ordinal)
-
-
-def _received_ns(event: Frame | FrameLost) -> int:
-    return event.received_ns

@@ -8,6 +8,7 @@ period, and a counter skips what the camera missed. Alone, the counter reveals w
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from operator import attrgetter
 from typing import NamedTuple
 
 CLOCK_DRIFT = 2e-4
@@ -76,7 +77,7 @@ class ExposureCheck:
         return (
             reference is not None
             and self._misfit_ns(reference, exposure) == 0
-            and _is_counted(*sorted((reference, exposure), key=_ordinal))
+            and _is_counted(*sorted((reference, exposure), key=attrgetter("ordinal")))
         )
 
     def contradicts(self, device_ns: int, trigger_ns: int) -> bool:
@@ -88,10 +89,8 @@ class ExposureCheck:
 
     def _misfit_ns(self, earlier: MatchedFrame, later: MatchedFrame) -> float:
         """Difference of the two durations beyond the limits of jitter and drift; 0 when they agree."""
-        by_camera_ns, by_triggers_ns = (
-            later.device_ns - earlier.device_ns,
-            later.trigger_ns - earlier.trigger_ns,
-        )
+        by_camera_ns = later.device_ns - earlier.device_ns
+        by_triggers_ns = later.trigger_ns - earlier.trigger_ns
         allowed_ns = self.tolerance_ns + CLOCK_DRIFT * abs(by_triggers_ns)
         return max(0.0, abs(by_camera_ns - by_triggers_ns) - allowed_ns)
 
@@ -102,10 +101,6 @@ def _is_counted(earlier: MatchedFrame, later: MatchedFrame) -> bool:
     if n_triggers == 0:
         return earlier.frame_id == later.frame_id
     return id_step(earlier.frame_id, later.frame_id) == n_triggers
-
-
-def _ordinal(exposure: MatchedFrame) -> int:
-    return exposure.ordinal
 
 
 def id_step(earlier: int, later: int) -> int | None:

@@ -1,16 +1,49 @@
-"""Account of every camera's frames: used, missing, late or stray, and the losses that their counters reveal."""
+"""Account of what became of every trigger and every frame: it makes losses visible, also those that ids reveal."""
 
 from collections import deque
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from drivers.interfaces import FrameLost
 from pipeline.frames import CameraId, Frame, FrameBundle
-from service.bundling.counters import CameraCounters
 from service.bundling.exposure_check import id_step
 from service.bundling.window import OpenTrigger
 
 REMEMBERED_TRIGGERS = 16
 """Closed triggers that late frames are compared with."""
+
+
+@dataclass(slots=True, kw_only=True)
+class CameraCounters:
+    """Counts of what became of one camera's frames."""
+
+    used: int = 0
+    missing: int = 0  # bundles without a frame of this camera
+    lost: int = 0  # losses that the driver reported
+    late: int = 0
+    duplicates: int = 0
+    extra: int = 0  # several different frames for one trigger
+    other_exposure: int = 0
+    strays: int = 0  # frames without a trigger
+    not_exposed: int = 0  # triggers that its frame ids did not count
+    unannounced: int = 0  # exposures without a trigger, by its frame ids
+    id_restarts: int = 0
+
+
+@dataclass(slots=True, kw_only=True)
+class BundlingCounters:
+    """Totals since the assembler was made; `triggers = complete + incomplete` once nothing is open."""
+
+    triggers: int = 0
+    complete: int = 0
+    incomplete: int = 0
+    in_dead_time: int = 0  # of the incomplete
+    orphans: int = 0  # known from their frames alone
+    unseen: int = 0  # of the incomplete: counted by the gate, but neither announced nor photographed
+    triggers_ignored: int = 0  # merged by the gate itself, or announced when they were orphans already
+    triggers_lost: int = 0  # gaps in the gate's counter: orphans and unseen ones
+    cameras: dict[CameraId, CameraCounters] = field(default_factory=dict)
 
 
 class _Closed(NamedTuple):
@@ -41,7 +74,7 @@ class FrameAccount:
             for camera in bundle.missing:
                 self._counters[camera].missing += 1
         if not window.in_dead_time:
-            self._closed.append(_Closed(window.expected_ns, _frame_ids(window)))
+            self._closed.append(_frame_ids(window))
 
     def count_after_close(self, camera: CameraId, received_ns: int, frame: Frame | None) -> bool:
         """Count a frame that came for a closed trigger; return whether it did. `frame` is None for a loss."""
@@ -59,13 +92,14 @@ class FrameAccount:
             return True
         return False
 
-    def count_unmatched(self, frames: Iterable[Frame], open_windows: Iterable[OpenTrigger]) -> None:
-        """Count frames outside of every window: late when the last trigger before lacks it, else strays."""
-        triggers = [
-            *self._closed,
-            *(_Closed(window.expected_ns, _frame_ids(window)) for window in open_windows),
-        ]
-        for frame in frames:
+    def count_unmatched(
+        self, events: Iterable[Frame | FrameLost], open_windows: Iterable[OpenTrigger]
+    ) -> None:
+        """Count frames that no trigger came for: late when the last trigger before lacks it, else strays."""
+        triggers = [*self._closed, *map(_frame_ids, open_windows)]
+        for frame in events:
+            if isinstance(frame, FrameLost):
+                continue
             earlier = [closed for closed in triggers if closed.expected_ns < frame.received_ns]
             if earlier and frame.camera not in earlier[-1].frame_ids:
                 self._counters[frame.camera].late += 1
@@ -88,5 +122,5 @@ class FrameAccount:
         counters.unannounced += max(0, n_exposed - n_triggers)
 
 
-def _frame_ids(window: OpenTrigger) -> dict[CameraId, int]:
-    return {camera: frame.frame_id for camera, frame in window.frames.items()}
+def _frame_ids(window: OpenTrigger) -> _Closed:
+    return _Closed(window.expected_ns, {camera: frame.frame_id for camera, frame in window.frames.items()})

@@ -16,19 +16,13 @@ MAX_ORPHANS = 1000
 """Most orphans whose times are kept, until the gate speaks again; of those before them their number is."""
 
 
-class _Gap(NamedTuple):
-    due_ns: int  # when all frames of its triggers have come
+class Gap(NamedTuple):
+    """Triggers that only the gate's counter knows, as they were reported."""
+
     received_ns: int
     n_triggers: int
     reason: MissingReason
-
-
-class Unseen(NamedTuple):
-    """A trigger, or as many as `n_stones`, that only the gate's counter knows."""
-
-    reported_ns: int
-    reason: MissingReason
-    n_stones: int
+    due_ns: int  # when all frames of its triggers have come
 
 
 class MissedTriggers:
@@ -37,26 +31,24 @@ class MissedTriggers:
     def __init__(self, tolerance_ns: int) -> None:
         """`tolerance_ns`: largest error of an orphan's time, which is derived from its frames."""
         self._tolerance_ns = tolerance_ns
-        self._gaps: deque[_Gap] = deque()
+        self._gaps: deque[Gap] = deque()
         self._orphans_ns: list[int] = []  # not yet explained by a gap or an announcement, the newest
         self._n_earlier_orphans = 0  # and how many before them, too long ago to be announced
         self._last_announced = 0
 
     def has_orphan_of(self, trigger: Trigger) -> bool:
         """True when an announcement comes so late that its frames have become an orphan's."""
-        return any(
-            abs(orphan_ns - trigger.received_ns) <= self._tolerance_ns for orphan_ns in self._orphans_ns
-        )
+        return any(abs(at_ns - trigger.received_ns) <= self._tolerance_ns for at_ns in self._orphans_ns)
 
     def note_announced(self, trigger: Trigger) -> None:
         """Register an announcement: if the gate missed nothing before it, earlier orphans were not its stones."""
         is_next = trigger.sequence == self._last_announced + 1 and not self._gaps
         self._last_announced = trigger.sequence
-        orphans_ns, at_ns = self._orphans_ns, trigger.received_ns
-        earlier_ns = [orphan_ns for orphan_ns in orphans_ns if orphan_ns < at_ns - self._tolerance_ns]
-        later_ns = [orphan_ns for orphan_ns in orphans_ns if orphan_ns > at_ns + self._tolerance_ns]
+        earlier_ns = [at_ns for at_ns in self._orphans_ns if at_ns < trigger.received_ns - self._tolerance_ns]
+        later_ns = [at_ns for at_ns in self._orphans_ns if at_ns > trigger.received_ns + self._tolerance_ns]
         self._orphans_ns = later_ns if is_next else earlier_ns + later_ns
-        self._n_earlier_orphans = 0 if is_next else self._n_earlier_orphans
+        if is_next:
+            self._n_earlier_orphans = 0
 
     def note_orphan(self, received_ns: int) -> None:
         """Register frames that got a trigger of their own, at this time."""
@@ -70,13 +62,13 @@ class MissedTriggers:
         """Whether triggers that the gate counted have no bundle yet, and may not get one."""
         return bool(self._gaps)
 
-    def note_gap(self, n_triggers: int, received_ns: int, due_ns: int, reason: MissingReason) -> None:
+    def note_gap(self, gap: Gap) -> None:
         """Register a gap in the gate's counter, to be compared with the orphans when its frames are due."""
-        self._gaps.append(_Gap(due_ns, received_ns, n_triggers, reason))
+        self._gaps.append(gap)
 
-    def take_unseen(self, now_ns: int | None = None) -> list[Unseen]:
+    def take_unseen(self, now_ns: int | None = None) -> list[Gap]:
         """Settle the gaps that are due (all without `now_ns`); return the triggers that no orphan explains."""
-        unseen: list[Unseen] = []
+        unseen: list[Gap] = []
         while self._gaps and (now_ns is None or now_ns >= self._gaps[0].due_ns):
             gap = self._gaps.popleft()
             n_earlier = min(self._n_earlier_orphans, gap.n_triggers)
@@ -85,7 +77,7 @@ class MissedTriggers:
             del self._orphans_ns[: n_explained - n_earlier]
             n_unseen = gap.n_triggers - n_explained
             if n_unseen <= MAX_SINGLE:
-                unseen += [Unseen(gap.received_ns, gap.reason, 1)] * n_unseen
+                unseen += [gap._replace(n_triggers=1)] * n_unseen
             else:
-                unseen.append(Unseen(gap.received_ns, gap.reason, n_unseen))
+                unseen.append(gap._replace(n_triggers=n_unseen))
         return unseen

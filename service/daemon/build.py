@@ -41,7 +41,7 @@ from service.processing.segmenters import SegmenterPlan
 from service.processing.spool import BundleFiles, Spool
 from service.processing.worker_pool import WorkerPool
 from service.recording.raw_archive import RawArchive
-from service.recording.recordings import Recordings, open_recordings
+from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring, new_pool
 from service.store import Store
 from service.store.events import EventType, NewEvent
@@ -137,9 +137,7 @@ def _build_watches(session: Session, segmentation: SegmenterPlan) -> Watches:
 
 def _open_recordings(session: Session) -> Recordings:
     made_by = {"command": "serve", "instance_id": session.store.instance_id, "session": session.number}
-    return open_recordings(
-        session.store.dir / "recordings", session.source, session.settings.recordings, made_by
-    )
+    return Recordings(session.store.dir / "recordings", session.source, session.settings.recordings, made_by)
 
 
 async def _open_calibrations(session: Session, rig_watch: RigWatch, recordings: Recordings) -> Calibrations:

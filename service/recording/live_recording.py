@@ -202,24 +202,21 @@ class LiveRecording:
         ended_by: EndedBy | None = None
         failure: str | None = "the recorder crashed: see the journal"
         try:
-            ended_by, failure = self._write(), None
+            with self._writer as writer:
+                by = self._write_bundles(writer)
+                if self.bundles == 0:
+                    raise RecordingError(self.path, f"nothing was recorded, it ended by {by}")
+                self._made_by = {**self._made_by, "ended_by": by, "without_frames": self.without_frames}
+                document = read_json(writer.folder / "recording.json")
+                document |= {"created_at": self._created_at, "made_by": self._made_by}
+                write_json(writer.folder / "recording.json", document)
+            ended_by, failure = by, None
         except RecordingError as err:
             failure = err.problem
         except OSError as err:
             failure = f"cannot be written: {err.strerror}"
         finally:
             self._loop.call_soon_threadsafe(self._close, ended_by, failure)
-
-    def _write(self) -> EndedBy:
-        with self._writer as writer:
-            ended_by = self._write_bundles(writer)
-            if self.bundles == 0:
-                raise RecordingError(self.path, f"nothing was recorded, it ended by {ended_by}")
-            self._made_by = {**self._made_by, "ended_by": ended_by, "without_frames": self.without_frames}
-            document = read_json(writer.folder / "recording.json")
-            document |= {"created_at": self._created_at, "made_by": self._made_by}
-            write_json(writer.folder / "recording.json", document)
-        return ended_by
 
     def _write_bundles(self, writer: RecordingWriter) -> EndedBy:
         while isinstance(bundle := self._waiting.get(), FrameBundle):

@@ -13,13 +13,14 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from drivers.errors import RecordingError
 from drivers.files.bundle_file import Compression, read_bundle, read_header, write_bundle
 from drivers.files.durable import copy_past_cache, replacing, sync
-from pipeline.frames import CameraId, FrameBundle
+from pipeline.frames import CameraId
 from service.base.errors import StoreError
 from service.base.status import Checks, trouble_check
 from service.processing.worker_pool import JobLostError, WorkerPool
@@ -57,11 +58,6 @@ class KeepJob:
     compression: Compression
 
 
-def _run_when_idle() -> None:
-    """Run this thread only while a core is idle."""
-    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-
-
 def keep_frames(job: KeepJob) -> str | None:
     """Write the bundle durably; return the problem of the disk if it cannot be written.
 
@@ -74,26 +70,20 @@ def keep_frames(job: KeepJob) -> str | None:
         bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
     with worker_boundary():
         try:
-            _write(job, bundle)
+            if not job.out_path.parent.exists():  # the result has no other files
+                job.out_path.parent.mkdir(parents=True)
+                sync(job.out_path.parent.parent)
+            if bundle is None:
+                with replacing(job.out_path) as unfinished:
+                    copy_past_cache(job.bundle_path, unfinished)
+            else:
+                compressing = partial(write_bundle, compression=job.compression)
+                only_when_idle = partial(os.sched_setscheduler, 0, os.SCHED_IDLE, os.sched_param(0))
+                with ThreadPoolExecutor(1, "compress", only_when_idle) as thread:
+                    thread.submit(compressing, job.out_path, bundle, job.camera_ids).result()
         except OSError as err:
             return str(err.strerror)
     return None
-
-
-def _write(job: KeepJob, bundle: FrameBundle | None) -> None:
-    """Write the bundle compressed, or copy its file if no bundle is given."""
-    if not job.out_path.parent.exists():  # the result has no other files
-        job.out_path.parent.mkdir(parents=True)
-        sync(job.out_path.parent.parent)
-    if bundle is not None:
-        with ThreadPoolExecutor(1, "compress", _run_when_idle) as thread:
-            writing = thread.submit(
-                write_bundle, job.out_path, bundle, job.camera_ids, compression=job.compression
-            )
-            writing.result()
-    else:
-        with replacing(job.out_path) as unfinished:
-            copy_past_cache(job.bundle_path, unfinished)
 
 
 class RawArchive:
@@ -150,11 +140,13 @@ class RawArchive:
         try:
             while (item := await self._waiting.get()) is not None:
                 path, seq = item
+                is_rush = len(self._taken_s) == RUSH and self._taken_s[-1] - self._taken_s[0] < RUSH_S
                 if pool.pids == []:
                     await pool.start()
                 try:
                     out_path = await self._folder.raw_path(seq)
-                    job = KeepJob(path, self._camera_ids, out_path, self._compression())
+                    compression: Compression = "zstd" if self._waiting.empty() and not is_rush else "none"
+                    job = KeepJob(path, self._camera_ids, out_path, compression)
                     if (problem := await pool.run(keep_frames, job)) is None:
                         await self._folder.drop_old_raw(seq)
                     else:
@@ -164,10 +156,6 @@ class RawArchive:
                 await self._on_done(path)
         finally:
             pool.close()
-
-    def _compression(self) -> Compression:
-        is_rush = len(self._taken_s) == RUSH and self._taken_s[-1] - self._taken_s[0] < RUSH_S
-        return "zstd" if self._waiting.empty() and not is_rush else "none"
 
     def _leave_out(self, seq: int, reason: str) -> None:
         level = logging.DEBUG if self.trouble else logging.WARNING

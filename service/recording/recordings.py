@@ -1,4 +1,4 @@
-"""The daemon's recordings: at most one under way, and the newest bundles in memory for the next one.
+"""The daemon's recordings: on the disk, at most one under way, and the newest bundles in memory for the next one.
 
 The newest stones are kept in memory so that a recording can begin in the past; the newest exposures of the empty rig
 are kept for longer, because a recording without them cannot be measured.
@@ -6,36 +6,29 @@ are kept for longer, because a recording without them cannot be measured.
 
 import asyncio
 import logging
+import re
 import shutil
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from http import HTTPStatus
+from operator import itemgetter
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field
 
+from drivers.errors import RecordingError
 from drivers.files.bundle_file import Compression
-from drivers.files.recording import RecordingSource, RecordingWriter
+from drivers.files.durable import read_json, sync
+from drivers.files.recording import UNKNOWN_UTC, RecordingSource, RecordingWriter
 from pipeline.frames import BundleKind, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.base.errors import ProblemError, ProblemKind
 from service.base.schema import REQUEST
 from service.base.status import Checks, trouble_check
-from service.recording.kept_recordings import (
-    NAME,
-    recording_in,
-    recordings_in,
-    remove_recording,
-)
-from service.recording.live_recording import (
-    EndedBy,
-    LiveRecording,
-    RecordingState,
-    RecordingStatus,
-)
+from service.recording.live_recording import EndedBy, LiveRecording, RecordingState, RecordingStatus
 
 log = logging.getLogger(__name__)
 
@@ -43,6 +36,8 @@ KEPT_BACKGROUNDS = 5
 """Newest exposures of the empty rig that are kept in memory for the next recording."""
 CLOSE_S = 10.0
 """Longest wait for the bundles that an ending recording still has to write."""
+NAME = r"^[A-Za-z0-9_-]{1,64}$"
+"""Pattern of the name of a recording, which is the name of a folder and part of a URL."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,30 +115,53 @@ def require_room(folder: Path, n_bundles: int, source: RecordingSource, reserve_
         )
 
 
-def open_recordings(
-    folder: Path, source: RecordingSource, settings: RecordingsSettings, made_by: Mapping[str, Any]
-) -> "Recordings":
-    """Open the folder of recordings, creating it, and remove what a killed daemon left unfinished."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for unfinished in folder.glob(".*.unfinished"):
-        log.warning("removed a recording that the daemon's crash left unfinished: %s", unfinished.name)
-        shutil.rmtree(unfinished, ignore_errors=True)
-    return Recordings(folder, source, settings, made_by)
+def recording_in(folder: Path, name: str) -> RecordingStatus | None:
+    """Return the status of the recording of this name on the disk, None if there is none."""
+    path = folder / name
+    if not re.fullmatch(NAME, name) or not path.exists():
+        return None
+    sizes = [file.stat().st_size for file in (path / "bundles").glob("*.tiff")]
+    document: Any = {}
+    reason = None
+    try:
+        document = read_json(path / "recording.json")
+    except RecordingError as err:
+        reason = f"recording.json {err.problem}"
+    if not isinstance(document, dict) or not isinstance(document.get("made_by", {}), dict):
+        document, reason = {}, "recording.json is damaged"
+    made_by = document.get("made_by", {})
+    ended_by = made_by.get("ended_by")
+    return RecordingStatus(
+        name=path.name,
+        state=RecordingState.FAILED if reason else RecordingState.COMPLETE,
+        created_at=str(document.get("created_at", UNKNOWN_UTC)),
+        bundles=len(sizes),
+        bytes=sum(sizes),
+        ended_by=ended_by if isinstance(ended_by, str) else None,
+        reason=reason,
+        made_by=made_by,
+    )
+
+
+def remove_recording(folder: Path, name: str) -> None:
+    """Remove a recording: at once under its name, so that after a kill the next start removes the rest."""
+    hidden = folder / f".{name}.deleted.unfinished"
+    (folder / name).rename(hidden)
+    sync(folder)
+    shutil.rmtree(hidden)
 
 
 class Recordings:
-    """Keeps the newest bundles and records them: `offer` it every bundle; created by `open_recordings`.
-
-    All methods are called on the event loop.
-    """
+    """Keeps the newest bundles and records them: `offer` it every bundle; all methods are called on the event loop."""
 
     def __init__(
-        self,
-        folder: Path,
-        source: RecordingSource,
-        settings: RecordingsSettings,
-        made_by: Mapping[str, Any],
+        self, folder: Path, source: RecordingSource, settings: RecordingsSettings, made_by: Mapping[str, Any]
     ) -> None:
+        """Open the folder of recordings, creating it, and remove what a killed daemon left unfinished; on a thread."""
+        folder.mkdir(parents=True, exist_ok=True)
+        for unfinished in folder.glob(".*.unfinished"):
+            log.warning("removed a recording that the daemon's crash left unfinished: %s", unfinished.name)
+            shutil.rmtree(unfinished, ignore_errors=True)
         self._folder = folder
         self._source = source
         self._settings = settings
@@ -188,13 +206,9 @@ class Recordings:
                 Refusal.RUNNING, f"recording {self._live.path.name} is under way: stop it first"
             )
         stones = list(self._stones)[-plan.pre_trigger :] if plan.pre_trigger else []
-        earlier = [bundle for _, bundle in sorted([*self._backgrounds, *stones], key=_order)]
-        made_by = {
-            **self._made_by,
-            "count": plan.count,
-            "duration_s": plan.duration_s,
-            "pre_trigger": len(stones),
-        }
+        earlier = [bundle for _, bundle in sorted([*self._backgrounds, *stones], key=itemgetter(0))]
+        asked = {"count": plan.count, "duration_s": plan.duration_s, "pre_trigger": len(stones)}
+        made_by = {**self._made_by, **asked}
         live = LiveRecording(
             RecordingWriter(path, self._source, made_by=made_by, compression=self._settings.compression),
             room_needed_bytes=self._settings.reserve_bytes + self._source.bundle_bytes,
@@ -210,21 +224,20 @@ class Recordings:
 
     async def stop(self, name: str) -> RecordingStatus | None:
         """End a recording and return its status when it is complete; None when there is none of that name."""
-        live = self._live
-        if live is not None and live.path.name == name:
-            await _end(live)
-            return live.status()
-        return await self.find(name)
+        if (live := self._running(name)) is None:
+            return await self.find(name)
+        await _end(live)
+        return live.status()
 
     async def find(self, name: str) -> RecordingStatus | None:
         """Return the status of a recording, None when there is none of that name."""
-        if self._live is not None and self._live.path.name == name:
-            return self._live.status()
+        if (live := self._running(name)) is not None:
+            return live.status()
         return await asyncio.to_thread(recording_in, self._folder, name) or self._failed.get(name)
 
     async def delete(self, name: str) -> bool:
         """Delete a recording, unless it is under way; return whether there was one of that name."""
-        if self._live is not None and self._live.path.name == name:
+        if self._running(name) is not None:
             raise RecordingRefusedError(Refusal.RUNNING, f"recording {name} is under way: stop it first")
         has_failed = self._failed.pop(name, None) is not None
         if await asyncio.to_thread(recording_in, self._folder, name) is None:
@@ -238,8 +251,10 @@ class Recordings:
 
     async def all(self) -> list[RecordingStatus]:
         """Return all recordings, sorted by name: on the disk, under way, and those that failed since the start."""
-        kept = await asyncio.to_thread(recordings_in, self._folder)
-        known = {status.name: status for status in [*self._failed.values(), *kept]}
+        kept = await asyncio.to_thread(
+            lambda: [recording_in(self._folder, path.name) for path in self._folder.iterdir()]
+        )
+        known = self._failed | {status.name: status for status in kept if status is not None}
         if self._live is not None:
             known[self._live.path.name] = self._live.status()
         return [known[name] for name in sorted(known)]
@@ -248,6 +263,9 @@ class Recordings:
         """End the recording under way; what it has is kept."""
         if self._live is not None:
             await _end(self._live)
+
+    def _running(self, name: str) -> LiveRecording | None:
+        return self._live if self._live is not None and self._live.path.name == name else None
 
     def _require_name_and_room(self, path: Path, plan: RecordingRequest) -> None:
         if path.exists():
@@ -269,10 +287,6 @@ class Recordings:
             status.bundles,
             status.bytes,
         )
-
-
-def _order(kept: tuple[int, FrameBundle]) -> int:
-    return kept[0]
 
 
 async def _end(live: LiveRecording) -> None:

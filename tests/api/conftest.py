@@ -16,7 +16,7 @@ from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 from service.delivery.webhooks import Webhooks, open_webhooks
 from service.health.alarms.alarms import Alarms, open_alarms
 from service.host.needs import HostNeeds
-from service.recording.recordings import RecordingsSettings, open_recordings
+from service.recording.recordings import Recordings, RecordingsSettings
 from service.store import Store
 from service.store.event_log import EventLog
 from service.store.events import EventType
@@ -27,7 +27,7 @@ from service.web.settings import ApiSettings
 def control(tmp_path: Path) -> FakeControl:
     settings = RecordingsSettings(reserve_gb=0.0)
     return FakeControl(
-        open_recordings(tmp_path / "recordings", SOURCE, settings, {"command": "test"}),
+        Recordings(tmp_path / "recordings", SOURCE, settings, {"command": "test"}),
         calibrations=open_desk(tmp_path / "desk"),
         diagnosed=Inputs(
             store_dir=tmp_path / "state",

@@ -8,7 +8,7 @@ import pytest
 from support.recordings import SOURCE, make_bundle
 from support.rest import FakeControl, app_of, client_of
 
-from service.recording.recordings import RecordingsSettings, open_recordings
+from service.recording.recordings import Recordings, RecordingsSettings
 from service.store import Store
 from service.web.settings import ApiKey, ApiSettings
 
@@ -38,9 +38,7 @@ async def test_record_and_stop(client: httpx.AsyncClient, control: FakeControl) 
 
 
 async def test_no_room(store: Store, tmp_path: Path) -> None:
-    control = FakeControl(
-        open_recordings(tmp_path / "full", SOURCE, RecordingsSettings(reserve_gb=100_000.0), {})
-    )
+    control = FakeControl(Recordings(tmp_path / "full", SOURCE, RecordingsSettings(reserve_gb=100_000.0), {}))
     async with client_of(app_of(store, control, ApiSettings())) as client:
         answer = await client.post("/recordings", json={"name": "large", "count": 1})
         assert (answer.status_code, answer.json()["type"]) == (507, "urn:stonefall:problem:no-room")

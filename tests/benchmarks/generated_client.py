@@ -29,7 +29,7 @@ from support.recordings import SOURCE
 from support.rest import FakeControl, app_of
 from support.served import served_by
 
-from service.recording.recordings import RecordingsSettings, open_recordings
+from service.recording.recordings import Recordings, RecordingsSettings
 from service.store import open_store
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
@@ -141,7 +141,7 @@ async def try_client(language: Language, generator: Path, folder: Path) -> int:
         session = await store.begin_session({"calibration_id": "0123", "is_simulated": True})
         await fill(store, session, folder / "out")
         settings = RecordingsSettings(reserve_gb=0.0)
-        recordings = open_recordings(folder / "recordings", SOURCE, settings, {"command": "test"})
+        recordings = Recordings(folder / "recordings", SOURCE, settings, {"command": "test"})
         control = FakeControl(recordings, calibrations=open_desk(folder / "desk"))
         async with served_by(app_of(store, control)) as served:
             return await (await create_subprocess_exec(*command, f"http://127.0.0.1:{served.port}")).wait()

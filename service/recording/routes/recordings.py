@@ -7,10 +7,9 @@ from fastapi import APIRouter, Path, Response
 from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, Field
 
-from service.recording.kept_recordings import NAME
 from service.recording.live_recording import RecordingState, RecordingStatus
 from service.recording.recording_tar import members_of, tar_bytes, tar_pieces
-from service.recording.recordings import RecordingRefusedError, RecordingRequest, Recordings, Refusal
+from service.recording.recordings import NAME, RecordingRefusedError, RecordingRequest, Recordings, Refusal
 from service.web.auth import OPERABLE, READABLE, Who
 from service.web.context import Context
 from service.web.problems import existing, problem_responses

@@ -18,7 +18,7 @@ from pipeline.frames import Frame, FrameBundle, Trigger
 from service.acquisition import device_keeper
 from service.acquisition.rig_cameras import RigCameras
 from service.base.status import AcquisitionState, AcquisitionTarget, ConflictError
-from service.bundling.counters import BundlingCounters, CameraCounters
+from service.bundling.frame_account import BundlingCounters, CameraCounters
 
 N_BUNDLES = 6
 

@@ -29,7 +29,7 @@ from drivers.interfaces import (
 )
 from pipeline.frames import BundleKind
 from service.bundling.assembler import DELIVERY_NS, BundleAssembler
-from service.bundling.counters import CameraCounters
+from service.bundling.frame_account import CameraCounters
 
 
 def test_a_bundle_leaves_as_soon_as_it_is_complete() -> None:

@@ -13,7 +13,7 @@ from support.rest import particle_files
 from support.stores import folder_of
 
 from service.daemon.retaining import LowThread, Retaining
-from service.recording.recordings import RecordingRequest, Recordings, RecordingsSettings, open_recordings
+from service.recording.recordings import RecordingRequest, Recordings, RecordingsSettings
 from service.store import Store, open_store
 from service.store.reads import results_after
 from service.store.retention import Disk, RetentionLimits, mark_files
@@ -28,7 +28,7 @@ def later() -> datetime:
 
 @pytest.fixture
 async def recordings(tmp_path: Path) -> AsyncIterator[Recordings]:
-    recordings = open_recordings(tmp_path / "recordings", SOURCE, RecordingsSettings(reserve_gb=0.0), {})
+    recordings = Recordings(tmp_path / "recordings", SOURCE, RecordingsSettings(reserve_gb=0.0), {})
     yield recordings
     await recordings.close()
 

@@ -17,12 +17,11 @@ from service.recording.recordings import (
     Recordings,
     RecordingsSettings,
     Refusal,
-    open_recordings,
 )
 
 
 def opened(folder: Path, **settings) -> Recordings:
-    return open_recordings(
+    return Recordings(
         folder, SOURCE, RecordingsSettings(**{"reserve_gb": 0.0} | settings), {"command": "test"}
     )
 
@@ -166,11 +165,11 @@ async def test_one_recording_is_found_without_the_others(tmp_path: Path, monkeyp
         (tmp_path / name).mkdir()
     (tmp_path.parent / "c").mkdir(exist_ok=True)
     looked_at = []
-    monkeypatch.setattr("service.recording.kept_recordings._status_of", looked_at.append)
+    monkeypatch.setattr("service.recording.recordings.read_json", looked_at.append)
     recordings = opened(tmp_path)
     for name in ("a", "d", "../c", "*"):
         await recordings.find(name)
-    assert looked_at == [tmp_path / "a"]
+    assert looked_at == [tmp_path / "a" / "recording.json"]
 
 
 @pytest.mark.parametrize(
