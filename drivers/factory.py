@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from drivers.camera_process.camera import RemoteCamera
+from drivers.camera_process.messages import CameraSettings
 from drivers.camera_process.process import CameraProcess
 from drivers.cameras.finding import are_simulated
 from drivers.cameras.genicam import GigeCameraSettings
@@ -29,7 +30,6 @@ from pipeline.frames import CameraId
 log = logging.getLogger(__name__)
 
 ARAVIS = "drivers.cameras.aravis:AravisCamera"
-"""Makes the cameras in their process; by name, as the daemon does not load their library."""
 GateDevice = SerialGateSettings | ModemLineSettings | GpioGateSettings
 
 
@@ -45,14 +45,24 @@ class ReplayBackend:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AravisBackend:
+class LiveBackend:
+    """Cameras, whose driver runs in a process of its own, and a light gate."""
+
+    cameras: tuple[CameraSettings, ...]
+    gate: GateDevice
+    driver: str
+    """Makes the cameras in their process; by name, as the daemon does not load their library."""
+    fired_by: ActionKeys | Literal["software"] | None = None  # None: the cameras are wired to the gate
+    interfaces: tuple[str, ...] = ()  # IPv4 addresses of this machine, towards the cameras
+    is_simulated: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AravisBackend(LiveBackend):
     """GigE cameras and a light gate."""
 
     cameras: tuple[GigeCameraSettings, ...]
-    gate: GateDevice
-    interfaces: tuple[str, ...] = ()  # IPv4 addresses of this machine, towards the cameras
-    fired_by: ActionKeys | Literal["software"] | None = None  # None: the cameras are wired to the gate
-    is_simulated: bool = False
+    driver: str = ARAVIS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +83,7 @@ class Devices:
     """State of the process that the cameras' library runs in, if there is one; never blocks."""
 
 
-def build_devices(backend: ReplayBackend | AravisBackend) -> Devices:
+def build_devices(backend: ReplayBackend | LiveBackend) -> Devices:
     """Return the devices of a backend.
 
     Raises
@@ -81,7 +91,7 @@ def build_devices(backend: ReplayBackend | AravisBackend) -> Devices:
     RecordingError
         The recording to replay cannot be opened.
     """
-    if isinstance(backend, AravisBackend):
+    if isinstance(backend, LiveBackend):
         return _live_devices(backend)
     recording = open_recording(backend.recording)
     belt = ReplayBelt(recording, pace=backend.pace, speed=backend.speed, loop=backend.loop)
@@ -96,16 +106,16 @@ def build_devices(backend: ReplayBackend | AravisBackend) -> Devices:
     )
 
 
-def _live_devices(backend: AravisBackend) -> Devices:
+def _live_devices(backend: LiveBackend) -> Devices:
     is_simulated = backend.is_simulated
-    if not is_simulated and are_simulated(backend.cameras):
-        log.warning("the cameras are simulated: so are all results, and they are marked")
-        is_simulated = True
-    process = CameraProcess(ARAVIS)
-    cameras = {
-        settings.id: RemoteCamera(replace(settings, may_be_simulated=is_simulated), process)
-        for settings in backend.cameras
-    }
+    if isinstance(backend, AravisBackend):
+        if not is_simulated and are_simulated(backend.cameras):
+            log.warning("the cameras are simulated: so are all results, and they are marked")
+            is_simulated = True
+        allowed = [replace(settings, may_be_simulated=is_simulated) for settings in backend.cameras]
+        backend = replace(backend, cameras=tuple(allowed))
+    process = CameraProcess(backend.driver)
+    cameras = {settings.id: RemoteCamera(settings, process) for settings in backend.cameras}
     gate = build_gate(backend.gate)
     match backend.fired_by:
         case "software":

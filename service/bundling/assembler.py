@@ -33,7 +33,7 @@ from drivers.interfaces import (
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 from service.bundling.exposure_check import ExposureCheck, MatchedFrame
 from service.bundling.frame_account import BundlingCounters, CameraCounters, FrameAccount
-from service.bundling.missed_triggers import Gap, MissedTriggers
+from service.bundling.missed_triggers import CounterGap, MissedTriggers
 from service.bundling.parameters import IN_VIEW_NS, BundlingParameters
 from service.bundling.window import MissingReason, OpenTrigger
 
@@ -103,7 +103,7 @@ class BundleAssembler:
                 self.counters.triggers_lost += event.count
                 due_ns = event.received_ns + self._delay_ns + self._window_ns + DELIVERY_NS
                 reason = MissingReason.DOWN if event.while_down else MissingReason.UNSEEN
-                self._missed.note_gap(Gap(event.received_ns, event.count, reason, due_ns))
+                self._missed.note_gap(CounterGap(event.received_ns, event.count, reason, due_ns))
             case PulseEnded():
                 for window in self._open:
                     if window.trigger.sequence == event.sequence:
@@ -219,7 +219,7 @@ class BundleAssembler:
         self._open_window(trigger)
         return True
 
-    def _unseen(self, unseen: list[Gap]) -> list[FrameBundle]:
+    def _unseen(self, unseen: list[CounterGap]) -> list[FrameBundle]:
         """Return bundles without frames for triggers that only the gate's counter knows."""
         n_unseen = sum(gap.n_triggers for gap in unseen)
         self.counters.triggers += n_unseen

@@ -16,7 +16,7 @@ MAX_ORPHANS = 1000
 """Most orphans whose times are kept, until the gate speaks again; of those before them their number is."""
 
 
-class Gap(NamedTuple):
+class CounterGap(NamedTuple):
     """Triggers that only the gate's counter knows, as they were reported."""
 
     received_ns: int
@@ -31,7 +31,7 @@ class MissedTriggers:
     def __init__(self, tolerance_ns: int) -> None:
         """`tolerance_ns`: largest error of an orphan's time, which is derived from its frames."""
         self._tolerance_ns = tolerance_ns
-        self._gaps: deque[Gap] = deque()
+        self._gaps: deque[CounterGap] = deque()
         self._orphans_ns: list[int] = []  # not yet explained by a gap or an announcement, the newest
         self._n_earlier_orphans = 0  # and how many before them, too long ago to be announced
         self._last_announced = 0
@@ -62,13 +62,13 @@ class MissedTriggers:
         """Whether triggers that the gate counted have no bundle yet, and may not get one."""
         return bool(self._gaps)
 
-    def note_gap(self, gap: Gap) -> None:
+    def note_gap(self, gap: CounterGap) -> None:
         """Register a gap in the gate's counter, to be compared with the orphans when its frames are due."""
         self._gaps.append(gap)
 
-    def take_unseen(self, now_ns: int | None = None) -> list[Gap]:
+    def take_unseen(self, now_ns: int | None = None) -> list[CounterGap]:
         """Settle the gaps that are due (all without `now_ns`); return the triggers that no orphan explains."""
-        unseen: list[Gap] = []
+        unseen: list[CounterGap] = []
         while self._gaps and (now_ns is None or now_ns >= self._gaps[0].due_ns):
             gap = self._gaps.popleft()
             n_earlier = min(self._n_earlier_orphans, gap.n_triggers)

@@ -17,7 +17,7 @@ from service.base.status import CheckStatus
 from service.commands.daemon_client import ConfiguredUrl, DaemonClient, DaemonError, Key
 from service.commands.doctor_rig import check_cameras, check_gate, check_pulse
 from service.configuration.host_needs import host_needs
-from service.configuration.rig_settings import AravisRigSettings
+from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings
 from service.configuration.settings import Settings, load_settings, problems, shortcomings
 from service.health.alarms.rules import load_rules
 from service.host.check import check_host
@@ -145,14 +145,15 @@ def _rig(settings: Settings, host: Host, daemon: DaemonClient, *, is_fired: bool
                 "test pulse", "not fired: the daemon has the rig and fires its own", "check background"
             )
         return
-    match settings.rig:
-        case AravisRigSettings() as rig:
-            yield from check_cameras(rig, host)
-            yield check_gate(rig)
-            if is_fired:
-                yield from asyncio.run(check_pulse(rig, settings.bundling))
-        case replay:
-            yield unknown("rig", f"{replay.recording} is replayed", "cameras and a light gate")
+    rig = settings.rig
+    if isinstance(rig, ReplayRigSettings):
+        yield unknown("rig", f"{rig.recording} is replayed", "cameras and a light gate")
+        return
+    if isinstance(rig, AravisRigSettings):
+        yield from check_cameras(rig, host)
+    yield check_gate(rig)
+    if is_fired:
+        yield from asyncio.run(check_pulse(rig, settings.bundling))
 
 
 def _show(title: str, findings: Sequence[Finding]) -> None:

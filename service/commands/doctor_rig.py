@@ -10,7 +10,7 @@ from statistics import median
 from drivers.cameras.finding import find_camera
 from drivers.cameras.genicam import GigeCameraSettings, strobe_line
 from drivers.errors import DeviceError, DriverError, RecordingError
-from drivers.factory import AravisBackend, build_devices, build_gate
+from drivers.factory import AravisBackend, LiveBackend, build_devices, build_gate
 from drivers.files.rig_file import read_rig
 from drivers.gvcp import DiscoveredCamera, discover
 from pipeline.frames import BundleKind, CameraId, FrameBundle
@@ -18,7 +18,7 @@ from service.acquisition.acquisition import Acquisition, AcquisitionParameters
 from service.acquisition.empty_rig import EmptyRigParameters
 from service.base.status import AcquisitionTarget
 from service.bundling.parameters import BundlingParameters
-from service.configuration.rig_settings import AravisRigSettings
+from service.configuration.rig_settings import AravisRigSettings, LiveRigSettings
 from service.host.finding import Finding, fault, judged, unknown
 from service.host.host import Host
 
@@ -127,7 +127,7 @@ def _uncalibrated(rig: AravisRigSettings, found: Mapping[CameraId, DiscoveredCam
             )
 
 
-def check_gate(rig: AravisRigSettings) -> Finding:
+def check_gate(rig: LiveRigSettings) -> Finding:
     """Open the port of the light gate, wait for its answer, and close it again."""
     gate = build_gate(rig.gate.device)
     wanted = "its port opens, it answers, its beam is open"
@@ -152,7 +152,7 @@ def check_gate(rig: AravisRigSettings) -> Finding:
     )
 
 
-async def check_pulse(rig: AravisRigSettings, bundling: BundlingParameters) -> list[Finding]:
+async def check_pulse(rig: LiveRigSettings, bundling: BundlingParameters) -> list[Finding]:
     """Expose the empty rig by the gate's test pulse, and again without the flash; return what the cameras saw.
 
     Opening the cameras sets them as configured; those that are opened without their flash get it back when they close.
@@ -166,19 +166,20 @@ async def check_pulse(rig: AravisRigSettings, bundling: BundlingParameters) -> l
     if isinstance(lit, Finding):
         return [lit]
     findings = list(_judged_pulse(lit))
-    if not any(strobe_line(camera.features) for camera in backend.cameras):
+    cameras = backend.cameras if isinstance(backend, AravisBackend) else ()
+    if not any(strobe_line(camera.features) for camera in cameras):
         if not rig.is_simulated:
             found = "not measured: no output of the cameras fires it (rig.strobe_line)"
             findings.append(unknown("flash", found, WANTED_LIGHT))
         return findings
-    off = tuple(replace(camera, is_strobe_off=True) for camera in backend.cameras)
+    off = tuple(replace(camera, is_strobe_off=True) for camera in cameras)
     unlit = await _exposed(replace(backend, cameras=off), bundling)
     if isinstance(unlit, Finding):
         return [*findings, unknown("flash", f"not measured: without it, {unlit.found}", WANTED_LIGHT)]
     return [*findings, judge_flash(_greys(lit), _greys(unlit))]
 
 
-async def _exposed(backend: AravisBackend, bundling: BundlingParameters) -> FrameBundle | Finding:
+async def _exposed(backend: LiveBackend, bundling: BundlingParameters) -> FrameBundle | Finding:
     """Arm the rig, fire one test pulse, and disarm; return its bundle, or the fault that there is none."""
     devices = build_devices(backend)
     bundles: asyncio.Queue[FrameBundle] = asyncio.Queue()

@@ -5,7 +5,7 @@ from pathlib import Path
 from drivers.errors import RecordingError
 from drivers.files.rig_file import read_rig
 from drivers.gates.gpio import GpioGateSettings
-from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings
+from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings, RigSettings
 from service.configuration.settings import Settings
 from service.host.needs import CameraNetwork, HostNeeds
 
@@ -28,8 +28,8 @@ def host_needs(settings: Settings) -> HostNeeds:
     )
 
 
-def _network(rig: AravisRigSettings | ReplayRigSettings) -> CameraNetwork | None:
-    if isinstance(rig, ReplayRigSettings):
+def _network(rig: RigSettings) -> CameraNetwork | None:
+    if not isinstance(rig, AravisRigSettings):
         return None
     addresses = rig.interfaces or tuple(camera.address for camera in rig.cameras if camera.address)
     return CameraNetwork(
@@ -40,7 +40,7 @@ def _network(rig: AravisRigSettings | ReplayRigSettings) -> CameraNetwork | None
     )
 
 
-def _gate(rig: AravisRigSettings | ReplayRigSettings) -> Path | None:
+def _gate(rig: RigSettings) -> Path | None:
     if isinstance(rig, ReplayRigSettings):
         return None
     gate = rig.gate.device

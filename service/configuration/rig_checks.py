@@ -11,7 +11,12 @@ from drivers.files.rig_file import read_rig
 from pipeline.fall import blur_px, longest_exposure_us
 from pipeline.rig.cameras import RigCalibration
 from service.bundling.parameters import BundlingParameters
-from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings, RigSettings
+from service.configuration.rig_settings import (
+    AravisRigSettings,
+    LiveRigSettings,
+    ReplayRigSettings,
+    RigSettings,
+)
 
 PLACEHOLDER = re.compile(r"SERIAL-\d*")
 PLACEHOLDER_PORT = "/dev/serial/by-id/usb-gate"
@@ -25,7 +30,7 @@ def rig_problems(settings: RigSettings, bundling: BundlingParameters) -> Iterato
     match settings:
         case ReplayRigSettings():
             yield from _replay_problems(settings)
-        case AravisRigSettings():
+        case LiveRigSettings():
             yield from _live_problems(settings, bundling)
 
 
@@ -42,7 +47,7 @@ def _replay_problems(settings: ReplayRigSettings) -> Iterator[str]:
         yield f"rig.calibration: {err}"
 
 
-def _live_problems(settings: AravisRigSettings, bundling: BundlingParameters) -> Iterator[str]:
+def _live_problems(settings: LiveRigSettings, bundling: BundlingParameters) -> Iterator[str]:
     """Yield the faults in the settings of cameras and gate."""
     yield from _placeholders(settings)
     yield from timing_problems(settings, bundling)
@@ -66,12 +71,13 @@ def _live_problems(settings: AravisRigSettings, bundling: BundlingParameters) ->
                 f" but {settings.calibration} was made with {serial} in its place"
             )
     yield from blur_problems(settings, calibration)
-    yield from transfer_problems(settings, calibration, bundling)
+    if isinstance(settings, AravisRigSettings):
+        yield from transfer_problems(settings, calibration, bundling)
 
 
 def rig_warnings(settings: RigSettings) -> Iterator[str]:
     """Yield the settings of the rig that are allowed but rarely meant, each with its field."""
-    if isinstance(settings, AravisRigSettings) and not (settings.has_flash or settings.is_simulated):
+    if isinstance(settings, LiveRigSettings) and not (settings.has_flash or settings.is_simulated):
         yield (
             "rig.strobe_line: no output of the cameras fires the light panels, so they must be on all the time: that is"
             " allowed, but they get hot, and shine less bright than in a flash; if they do flash, say which output"
@@ -79,7 +85,7 @@ def rig_warnings(settings: RigSettings) -> Iterator[str]:
         )
 
 
-def _placeholders(settings: AravisRigSettings) -> Iterator[str]:
+def _placeholders(settings: LiveRigSettings) -> Iterator[str]:
     """Yield the placeholders that are left of a copy of deploy/stonefall.toml."""
     copied = [camera.id for camera in settings.cameras if PLACEHOLDER.fullmatch(camera.serial or "")]
     if copied:
@@ -91,7 +97,7 @@ def _placeholders(settings: AravisRigSettings) -> Iterator[str]:
         yield f"rig.gate.serial.port: {PLACEHOLDER_PORT} is a placeholder: ls /dev/serial/by-id shows the gate's name"
 
 
-def timing_problems(settings: AravisRigSettings, bundling: BundlingParameters) -> Iterator[str]:
+def timing_problems(settings: LiveRigSettings, bundling: BundlingParameters) -> Iterator[str]:
     """Yield the times of the bundling that do not fit the fall."""
     if settings.bundling_for(bundling).dead_time_ms + BUSY_SLACK_MS < settings.busy_ms:
         yield (
@@ -106,7 +112,7 @@ def timing_problems(settings: AravisRigSettings, bundling: BundlingParameters) -
         )
 
 
-def blur_problems(settings: AravisRigSettings, calibration: RigCalibration) -> Iterator[str]:
+def blur_problems(settings: LiveRigSettings, calibration: RigCalibration) -> Iterator[str]:
     """Yield a problem when a stone moves too far during the exposure."""
     lit_us = (settings.flash_us or settings.exposure_us) + settings.trigger_skew_us
     speed = settings.fall.speed_at_center_mm_s

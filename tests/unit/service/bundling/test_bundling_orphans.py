@@ -19,7 +19,7 @@ from support.bundling import (
 
 from drivers.interfaces import TriggersLost
 from service.bundling.assembler import DELIVERY_NS, BundleAssembler
-from service.bundling.missed_triggers import MAX_ORPHANS, MAX_SINGLE, Gap, MissedTriggers
+from service.bundling.missed_triggers import MAX_ORPHANS, MAX_SINGLE, CounterGap, MissedTriggers
 from service.bundling.parameters import BundlingParameters
 from service.bundling.window import MissingReason
 
@@ -198,11 +198,11 @@ def test_orphans_without_number_are_a_number_and_explain_what_the_gate_tells_lat
     assert sys.getsizeof(missed._orphans_ns) < 10 * MAX_ORPHANS
     late = trigger(2, (n_orphans - 1) * 1000 * MS)
     assert missed.has_orphan_of(late)
-    missed.note_gap(Gap(0, n_orphans - 500, MissingReason.UNSEEN, due_ns=1))
+    missed.note_gap(CounterGap(0, n_orphans - 500, MissingReason.UNSEEN, due_ns=1))
     assert missed.take_unseen(1) == []
-    missed.note_gap(Gap(0, 700, MissingReason.UNSEEN, due_ns=1))
+    missed.note_gap(CounterGap(0, 700, MissingReason.UNSEEN, due_ns=1))
     assert [each.n_triggers for each in missed.take_unseen(1)] == [700 - 500]
     missed.note_orphan(0)
     missed.note_announced(trigger(1, 1000 * MS))
-    missed.note_gap(Gap(0, 1, MissingReason.UNSEEN, due_ns=1))
+    missed.note_gap(CounterGap(0, 1, MissingReason.UNSEEN, due_ns=1))
     assert len(missed.take_unseen(1)) == 1  # the gate missed nothing before the one that it announced
