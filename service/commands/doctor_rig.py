@@ -18,7 +18,8 @@ from service.acquisition.acquisition import Acquisition, AcquisitionParameters
 from service.acquisition.empty_rig import EmptyRigParameters
 from service.base.status import AcquisitionTarget
 from service.bundling.parameters import BundlingParameters
-from service.configuration.rig_settings import AravisRigSettings, LiveRigSettings
+from service.configuration.live_rig import LiveRigSettings
+from service.configuration.rig_settings import AravisRigSettings
 from service.host.finding import Finding, fault, judged, unknown
 from service.host.host import Host
 

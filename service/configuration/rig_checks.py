@@ -11,12 +11,8 @@ from drivers.files.rig_file import read_rig
 from pipeline.fall import blur_px, longest_exposure_us
 from pipeline.rig.cameras import RigCalibration
 from service.bundling.parameters import BundlingParameters
-from service.configuration.rig_settings import (
-    AravisRigSettings,
-    LiveRigSettings,
-    ReplayRigSettings,
-    RigSettings,
-)
+from service.configuration.live_rig import LiveRigSettings
+from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings, RigSettings
 
 PLACEHOLDER = re.compile(r"SERIAL-\d*")
 PLACEHOLDER_PORT = "/dev/serial/by-id/usb-gate"
