@@ -9,22 +9,22 @@ are still counted.
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import asdict, dataclass, replace
-from typing import Protocol
 
 from drivers.factory import Devices
 from drivers.files.times import utc_ago
 from drivers.inbox import EventInbox
 from drivers.interfaces import CameraLost, CameraVitals, DeviceEvent, GateLost, PlaybackEnded, TriggersLost
-from pipeline.frames import BundleKind, CameraId, FrameBundle, GateCount, Trigger
+from pipeline.frames import CameraId, FrameBundle, Trigger
 from service.acquisition.checks import rig_checks
 from service.acquisition.device_keeper import DeviceKeeper
 from service.acquisition.empty_rig import EmptyRigParameters, expose_empty_rig
 from service.acquisition.gate_watch import GateWatch
 from service.acquisition.rig_cameras import RigCameras
 from service.acquisition.shown_camera import ShownCamera
+from service.acquisition.triggers import TriggerLog, Triggers
 from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,
@@ -53,22 +53,6 @@ INBOX_TRIGGERS = 8
 """Triggers whose frames may wait in the inbox: at 21 MB each this bounds the memory."""
 
 
-class TriggerLog(Protocol):
-    """Durable record of the triggers; the store is one. It never keeps the loop waiting for a disk."""
-
-    async def record_triggers(
-        self, session: int, triggers: Mapping[str, Trigger], gate_count: GateCount | None
-    ) -> None:
-        """Record triggers, and the gate's count at the last if everything counted before it is recorded."""
-
-    async def forget_gate_count(self, session: int) -> None:
-        """Record that the gate was disarmed: what it counts from now on is not missed."""
-
-    @property
-    def trouble(self) -> object | None:
-        """Why nothing can be recorded now, in words as text; None when it can."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AcquisitionParameters:
     """Parameters of the acquisition in one session."""
@@ -83,9 +67,7 @@ class Acquisition:
     """Runs the rig: `run` is its task, `request` arms and disarms it, `stop` ends it in order.
 
     Bundles are passed to `on_bundle` in the order of their triggers; `on_progress` is called at every turn of
-    the pump. While `is_ball` returns True, triggers are of calibration balls instead of stones. While triggers cannot
-    be recorded, the acquisition is held; without `triggers` they need no outcome. `on_state` is called with each new
-    state, and why it is held.
+    the pump, `on_state` with each new state, and why it is held. While triggers cannot be recorded, it is held.
     """
 
     def __init__(
@@ -101,18 +83,15 @@ class Acquisition:
     ) -> None:
         self._devices = devices
         self._parameters = parameters
-        self._triggers = triggers
+        self._triggers = Triggers(triggers, parameters.session, is_ball)
         self._min_cameras = min(parameters.min_cameras, len(devices.cameras))
-        self._is_ball = is_ball
         self._on_bundle = on_bundle
         self._on_progress = on_progress
         self._on_state = on_state
         self._arm_requested = asyncio.Event()
         self._disarm_requested = asyncio.Event()
         self._is_abandoned = False
-        self._n_named = 0
-        self._started_s = self._last_trigger_s = time.monotonic()
-        self._last_stone_s: float | None = None
+        self._started_s = time.monotonic()
         self.cameras = RigCameras(devices.cameras, clock=devices.clock, is_live=devices.belt is None)
         self.gate = DeviceKeeper("light gate", devices.gate)
         self._shown_camera = ShownCamera()
@@ -169,8 +148,8 @@ class Acquisition:
         """Return state and counters of the rig."""
         counters = asdict(self.counters)
         del counters["cameras"]
-        now_s = time.monotonic()
-        is_starved = now_s - (self._last_stone_s or self._started_s) > SUSPENDED_S
+        now_s, last_stone_s = time.monotonic(), self._triggers.last_stone_s
+        is_starved = now_s - (last_stone_s or self._started_s) > SUSPENDED_S
         is_armed = self.state is AcquisitionState.ARMED
         return AcquisitionStatus(
             state=self.state,
@@ -181,7 +160,7 @@ class Acquisition:
             gate=self.gate.state,
             gate_error=self.gate.last_error if self.gate.state is DeviceState.LOST else None,
             gate_warnings=(*self._devices.gate.warnings, *self._gate_watch.warnings(now_s)),
-            last_stone_age_s=None if self._last_stone_s is None else round(now_s - self._last_stone_s, 3),
+            last_stone_age_s=None if last_stone_s is None else round(now_s - last_stone_s, 3),
             **counters,
             events_refused=0 if self._inbox is None else sum(self._inbox.refused.values()),
         )
@@ -208,23 +187,19 @@ class Acquisition:
             if not self._disarm_requested.is_set():
                 async with asyncio.TaskGroup() as tasks:
                     await self._run_armed(tasks)
-                if self._triggers is not None:
-                    await self._triggers.forget_gate_count(self._parameters.session)
-            self._set_state(AcquisitionState.DISARMED)
+                await self._triggers.forget_gate_count()
+            self._enter(AcquisitionState.DISARMED)
             self.settled.set()
 
-    def _set_state(self, state: AcquisitionState) -> None:
-        if self.state is not AcquisitionState.STOPPING:
-            self._enter(state)
-
     def _enter(self, state: AcquisitionState) -> None:
-        if state is not self.state:
+        """Enter a state; after `STOPPING` there is none."""
+        if self.state not in (state, AcquisitionState.STOPPING):
             self.state = state
             self._on_state(state, self.trouble if state is AcquisitionState.HELD else None)
 
     async def _run_armed(self, tasks: asyncio.TaskGroup) -> None:
         """Arm the rig and pump events until disarming is requested; the exit stack disarms in reverse order."""
-        self._set_state(AcquisitionState.ARMING)
+        self._enter(AcquisitionState.ARMING)
         self.is_active = True
         inbox = self._inbox = EventInbox(asyncio.get_running_loop(), INBOX_TRIGGERS * len(self.cameras.ids))
         assembler = BundleAssembler(self.cameras.ids, self._parameters.bundling)
@@ -245,7 +220,7 @@ class Acquisition:
             ending.push_async_callback(self._pump_last_frames, inbox, assembler)
             ending.push_async_callback(self.gate.disarm)
             await self.gate.tried.wait()
-            ending.callback(self._set_state, AcquisitionState.DISARMING)
+            ending.callback(self._enter, AcquisitionState.DISARMING)
             exposing = tasks.create_task(self._expose_empty_rig(assembler))
             ending.callback(exposing.cancel)
             self._hold_or_release()
@@ -262,16 +237,13 @@ class Acquisition:
     def _hold_or_release(self) -> None:
         """Set the state to held or armed, depending on whether the next stone can be measured."""
         trouble = self.gate.last_error if self.gate.state is DeviceState.LOST else None
-        trouble = trouble or self.cameras.trouble(self._min_cameras)
-        unrecorded = None if self._triggers is None else self._triggers.trouble
-        if not trouble and unrecorded is not None:
-            trouble = f"store: {unrecorded}"
+        trouble = trouble or self.cameras.trouble(self._min_cameras) or self._triggers.trouble
         if trouble and not self.trouble:  # one alarm a cause: its consequences are not logged
             log.error("acquisition held: %s", trouble)
         elif self.trouble and not trouble:
             log.info("acquisition held no longer")
         self.trouble = trouble
-        self._set_state(AcquisitionState.HELD if trouble else AcquisitionState.ARMED)
+        self._enter(AcquisitionState.HELD if trouble else AcquisitionState.ARMED)
 
     async def _expose_empty_rig(self, assembler: BundleAssembler) -> None:
         quiet_s = self._parameters.bundling.quiet_s
@@ -282,7 +254,7 @@ class Acquisition:
 
         def is_quiet(for_s: float) -> bool:
             is_idle = self.state is AcquisitionState.ARMED and assembler.next_deadline_ns is None
-            return is_idle and time.monotonic() - self._last_trigger_s > max(for_s, quiet_s)
+            return is_idle and time.monotonic() - self._triggers.last_s > max(for_s, quiet_s)
 
         await expose_empty_rig(self._parameters.empty_rig, fire, is_quiet)
 
@@ -304,7 +276,7 @@ class Acquisition:
                     self._gate_watch.note_late(time.monotonic())
                 case Trigger():
                     count = None if assembler.has_gap else event.gate_count
-                    (event,) = await self._record([event], count)
+                    (event,) = await self._triggers.record([event], count)
                 case TriggersLost():
                     log.warning("stones without an announcement count=%d: %s", event.count, event.reason)
                     self._gate_watch.note_gap(event, time.monotonic())
@@ -336,7 +308,7 @@ class Acquisition:
         now_ns = self._devices.clock()
         unannounced = [bundle.trigger for bundle in bundles if not bundle.trigger.is_announced]
         dated = [replace(trigger, utc=utc_ago(now_ns - trigger.received_ns)) for trigger in unannounced]
-        recorded = iter(await self._record(dated))
+        recorded = iter(await self._triggers.record(dated))
         for bundle in bundles:
             if not bundle.trigger.is_announced:
                 bundle = replace(bundle, trigger=next(recorded))
@@ -352,25 +324,3 @@ class Acquisition:
                 self._gate_watch.note_bundle(bundle, time.monotonic())
             self._on_bundle(bundle)
             self._on_progress()
-
-    async def _record(
-        self, triggers: Sequence[Trigger], gate_count: GateCount | None = None
-    ) -> list[Trigger]:
-        """Make triggers durable in one transaction, and return them with their names."""
-        named = {str(trigger.name): trigger for trigger in map(self._with_name, triggers)}
-        if named and self._triggers is not None:
-            await self._triggers.record_triggers(self._parameters.session, named, gate_count)
-        return list(named.values())
-
-    def _with_name(self, trigger: Trigger) -> Trigger:
-        """Return the trigger with a unique name, which its sequence number is not: a gate may count anew."""
-        self._last_trigger_s = time.monotonic()
-        if trigger.kind is not BundleKind.BACKGROUND:
-            self._last_stone_s = self._last_trigger_s
-            if self._is_ball():
-                trigger = replace(trigger, kind=BundleKind.BALL)
-        if trigger.name is not None:
-            return trigger
-        self._n_named += 1
-        suffix = "" if trigger.is_announced else "-orphan"
-        return replace(trigger, name=f"{self._n_named:08d}{suffix}")

@@ -59,11 +59,8 @@ Result = TypeVar("Result")
 class JobPool(Protocol):
     """A started pool of workers, of this machine or a cluster; `WorkerPool` says what its methods do and raise."""
 
-    @property
-    def size(self) -> int: ...
-
-    @property
-    def n_waiting(self) -> int: ...
+    size: int
+    n_waiting: int
 
     @property
     def threads_per_job(self) -> int: ...
@@ -95,12 +92,10 @@ class JobLostError(ServiceError):
 class WorkerPool:
     """Runs jobs in worker processes: `start`, any number of concurrent `run`, `close`; all on the event loop.
 
-    In `async with` it is started and closed.
-
-    `prepare` and the context must be picklable, like jobs and results. Processes that start together share the
-    compiling: none begins a warm-up that another one is running. `renew` replaces processes that had to compile, when
-    there is nothing to measure, because they never free the compiler's memory. The processes are called `name`
-    (15 bytes).
+    In `async with` it is started and closed. `prepare` and the context must be picklable, like jobs and results.
+    Processes that start together share the compiling: none begins a warm-up that another one is running. `renew`
+    replaces processes that had to compile, when there is nothing to measure, because they never free the compiler's
+    memory. The processes are called `name` (15 bytes).
     """
 
     def __init__(
@@ -116,6 +111,7 @@ class WorkerPool:
         """`retry_s`: pause before another attempt where a process cannot be replaced; None: there is none."""
         warm_up_locks: Mapping[int, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._slots = [_Slot(name, prepare, context, warm_up_locks) for _ in range(slots)]
+        self.size = slots
         self._idle: asyncio.Queue[_Slot] = asyncio.Queue()
         self._deadline_s = deadline_s
         self._retry_s = retry_s
@@ -124,10 +120,6 @@ class WorkerPool:
         self.restarts = 0
         self._last_failure = ""
         self._last_failure_s = -RECENT_S
-
-    @property
-    def size(self) -> int:
-        return len(self._slots)
 
     @property
     def threads_per_job(self) -> int:
@@ -142,9 +134,8 @@ class WorkerPool:
 
     @property
     def pids(self) -> list[int]:
-        return [
-            pid for slot in self._slots if slot.process is not None and (pid := slot.process.pid) is not None
-        ]
+        processes = [slot.process for slot in self._slots if slot.process is not None]
+        return [process.pid for process in processes if process.pid is not None]
 
     def checks(self) -> Checks:
         return {"workers": workers_check(len(self.pids), self.size, self.restarts, self.trouble)}
@@ -190,19 +181,16 @@ class WorkerPool:
     async def renew(self, idle_s: float = IDLE_S) -> None:
         """Replace the processes that had to compile, each after `idle_s` without a job; if that fails it stays."""
         for slot in self._slots:
-            if slot.has_compiled:
-                await self._wait_until_idle(idle_s)
-                try:
-                    await slot.renew()
-                except WorkerStartError as err:
-                    log.warning("a worker keeps its compiler's memory: %s", err)
-
-    async def _wait_until_idle(self, idle_s: float) -> None:
-        """Return when there was no job for `idle_s`."""
-        n_before = -1
-        while n_before != self._n_jobs or self._idle.qsize() < self.size:
-            n_before = self._n_jobs
-            await asyncio.sleep(idle_s)
+            if not slot.has_compiled:
+                continue
+            n_before = -1
+            while n_before != self._n_jobs or self._idle.qsize() < self.size:
+                n_before = self._n_jobs
+                await asyncio.sleep(idle_s)
+            try:
+                await slot.renew()
+            except WorkerStartError as err:
+                log.warning("a worker keeps its compiler's memory: %s", err)
 
     async def _run_in(self, slot: "_Slot", function: Callable[[Job], Result], job: Job) -> Result:
         try:

@@ -98,7 +98,8 @@ class ClusterPool:
         """`size`: of bundles that the workers measure at a time."""
         self._client = client
         self._context = content_of({CONTEXT: pickle.dumps(context)})
-        self._size = size
+        self.size = size
+        self.n_waiting = 0  # bundles of an archive wait for as long as it takes
         learning = replace(context, segmentation=CLASSICAL)
         self._here = RestingPool(
             lambda: WorkerPool(
@@ -110,14 +111,6 @@ class ClusterPool:
         self._sends: dict[tuple[str, str], asyncio.Task[None]] = {}
         self._frames_are_seen = True
         self._room_for_frames = asyncio.Semaphore(size + SENT_AHEAD)
-
-    @property
-    def size(self) -> int:
-        return self._size
-
-    @property
-    def n_waiting(self) -> int:
-        return 0  # bundles of an archive wait for as long as it takes
 
     @property
     def threads_per_job(self) -> int:
