@@ -25,6 +25,7 @@ from service.acquisition.gate_watch import GateWatch
 from service.acquisition.rig_cameras import RigCameras
 from service.acquisition.shown_camera import ShownCamera
 from service.acquisition.triggers import TriggerLog, Triggers
+from service.base.missing_reason import MissingReason
 from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,
@@ -37,7 +38,6 @@ from service.base.status import (
 from service.bundling.assembler import BundleAssembler
 from service.bundling.frame_account import BundlingCounters
 from service.bundling.parameters import BundlingParameters
-from service.bundling.window import MissingReason
 
 log = logging.getLogger(__name__)
 

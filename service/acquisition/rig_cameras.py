@@ -16,9 +16,9 @@ from drivers.interfaces import Camera, CameraBack, CameraLost, DeviceEvent, Even
 from pipeline.frames import CameraId, Frame, FrameBundle, Image
 from service.acquisition.device_keeper import DeviceKeeper, DeviceLoss
 from service.acquisition.exposure_skew import ExposureSkew
+from service.base.missing_reason import MissingReason
 from service.base.status import CameraStatus, DeviceState
 from service.bundling.frame_account import BundlingCounters, CameraCounters
-from service.bundling.window import MissingReason
 
 log = logging.getLogger(__name__)
 

@@ -8,7 +8,7 @@ from collections import deque
 from typing import NamedTuple
 
 from pipeline.frames import Trigger
-from service.bundling.window import MissingReason
+from service.base.missing_reason import MissingReason
 
 MAX_SINGLE = 100
 """Most stones of a gap in the gate's counter that are told one by one; those of a longer one are told as a number."""

@@ -18,8 +18,8 @@ from pathlib import Path
 
 from drivers.files.bundle_file import overwrite_bundle
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
+from service.base.missing_reason import MissingReason
 from service.base.status import Checks, CheckStatus, HealthCheck
-from service.bundling.window import MissingReason
 from service.processing.left_bundles import LeftBundle, is_left, remove_backgrounds
 from service.results.fields import LossReason
 

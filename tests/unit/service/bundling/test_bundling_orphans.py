@@ -18,10 +18,10 @@ from support.bundling import (
 )
 
 from drivers.interfaces import TriggersLost
+from service.base.missing_reason import MissingReason
 from service.bundling.assembler import DELIVERY_NS, BundleAssembler
 from service.bundling.missed_triggers import MAX_ORPHANS, MAX_SINGLE, CounterGap, MissedTriggers
 from service.bundling.parameters import BundlingParameters
-from service.bundling.window import MissingReason
 
 
 def test_frames_wait_for_a_late_trigger_and_are_strays_without_one() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.files.recording import read_bundle
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
-from service.bundling.window import MissingReason
+from service.base.missing_reason import MissingReason
 from service.processing import spool as spool_module
 from service.processing.spool import SPARE_FILES, BundleFiles, Loss, Spool, SpooledBundle
 from service.results.fields import LossReason
