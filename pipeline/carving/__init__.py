@@ -15,12 +15,13 @@ With m disagreeing views allowed, the (m + 1)-th smallest distance, or N - m vie
 an octree finds where that is (`octree`), `samples` evaluates there. Elsewhere only the field's side is right.
 """
 
-from pipeline.carving.hull import CarvingParameters, VisualHull, all_leaves
+from pipeline.carving.hull import CarvingField, CarvingParameters, VisualHull, all_leaves
 from pipeline.carving.octree import LEAF
 from pipeline.carving.sparse import carve, warm_up
 
 __all__ = [
     "LEAF",
+    "CarvingField",
     "CarvingParameters",
     "VisualHull",
     "all_leaves",

@@ -11,6 +11,9 @@ from pipeline.carving.octree import LEAF, Blocks
 N_VIEWS = 16
 """Views that `CarvingParameters.isolevel` counts on: those of the paper's rig."""
 
+CarvingField = Literal["sub_voxel", "view_count"]
+"""What the surface is taken from: signed distances, or the paper's count of the views that see a voxel inside."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CarvingParameters:
@@ -18,7 +21,7 @@ class CarvingParameters:
 
     size_mm: float = 50.0  # edge of the cube around the rig's centre
     n: int = 256  # samples an edge
-    field: Literal["sub_voxel", "view_count"] = "sub_voxel"
+    field: CarvingField = "sub_voxel"
     max_disagreeing_views: int = 0  # views that may exclude a voxel without carving it
     isolevel: float = 15.5  # of `view_count`, by 16 views, from 15 to 16; by fewer as far below their number
 

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 from rich.console import Console
@@ -20,13 +20,15 @@ from rich.table import Table
 
 from drivers.files.recording import open_recording, require_rig_of
 from drivers.files.rig_file import read_rig
+from pipeline.carving import CarvingField
 from pipeline.gradation.curve import PERCENTS
 from pipeline.gradation.evaluation import evaluate
 from pipeline.gradation.sieves import ALL_SIZES
-from pipeline.meshing import Mesher, MeshingParameters
+from pipeline.meshing import Mesher
 from pipeline.paper import PAPER
-from pipeline.particle import PipelineParameters
+from pipeline.particle import BodyKind, PipelineParameters
 from pipeline.rig.cameras import RigCalibration
+from pipeline.segmentation.segmenter_choice import SegmenterKind
 from service.base.errors import UsageError
 from service.base.language import Language
 from service.commands.lots import curve_table
@@ -51,13 +53,7 @@ PAPERS_MODEL = "u2netp"
 """Network of `--method paper` unless another one is named; the paper used the larger U2-Net."""
 
 
-class SegmenterName(StrEnum):
-    """Segmenter that is asked first; the other one is asked where it fails."""
-
-    AUTO = "auto"
-    BACKGROUND = "background"
-    ONNX = "onnx"
-    MASK = "mask"
+Parameters = TypeVar("Parameters", bound=Any)
 
 
 class MethodName(StrEnum):
@@ -65,21 +61,6 @@ class MethodName(StrEnum):
 
     OURS = "ours"
     PAPER = "paper"
-
-
-class BodyName(StrEnum):
-    """Body that mesh and shape describe."""
-
-    PHOTO = "photo"
-    ESTIMATE = "estimate"
-    HULL = "hull"
-
-
-class CarvingField(StrEnum):
-    """Field over the voxels that the surface is taken from."""
-
-    SUB_VOXEL = "sub_voxel"
-    VIEW_COUNT = "view_count"
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +76,7 @@ class MeasureOptions:
     ]
     rig: Annotated[Path | None, typer.Option(help="Rig file; default: rig.json of the recording.")] = None
     segmenter: Annotated[
-        SegmenterName | None,
+        SegmenterKind | None,
         typer.Option(
             help="Segmenter; default: as configured, else auto (onnx where background is in doubt). mask: a U2-Net's"
             " mask is the silhouette, as in the paper."
@@ -115,7 +96,7 @@ class MeasureOptions:
         ),
     ] = None
     body: Annotated[
-        BodyName | None,
+        BodyKind | None,
         typer.Option(help="Body that mesh and shape describe; default: as configured, else photo."),
     ] = None
     texture: Annotated[
@@ -171,19 +152,15 @@ def command(options: MeasureOptions) -> None:
         if options.config is not None:
             raise UsageError("--method paper has parameters of its own; leave --config out")
         parameters, segmentation = PAPER, SegmentationSettings(segmenter="mask", model=PAPERS_MODEL)
-    if options.mesher is not None:
-        parameters = replace(parameters, meshing=MeshingParameters(mesher=options.mesher))
-    if options.isolevel is not None:
-        try:
-            parameters = replace(parameters, carving=replace(parameters.carving, isolevel=options.isolevel))
-        except ValueError as err:
-            raise typer.BadParameter(str(err), param_hint="--isolevel") from err
-    if options.body is not None:
-        parameters = replace(parameters, body=replace(parameters.body, kind=options.body.value))
-    if options.texture is not None:
-        parameters = replace(parameters, body=replace(parameters.body, texture=options.texture))
-    if options.field is not None:
-        parameters = replace(parameters, carving=replace(parameters.carving, field=options.field.value))
+    try:
+        parameters = replace(
+            parameters,
+            meshing=_changed(parameters.meshing, mesher=options.mesher),
+            body=_changed(parameters.body, kind=options.body, texture=options.texture),
+            carving=_changed(parameters.carving, field=options.field, isolevel=options.isolevel),
+        )
+    except ValueError as err:
+        raise typer.BadParameter(str(err), param_hint="--isolevel") from err
     context = WorkerContext(
         parameters=parameters,
         is_simulated=source.is_simulated,
@@ -235,16 +212,19 @@ def _replace_results(unfinished: Path, out: Path) -> None:
             (unfinished / name).rename(out / name)
 
 
+def _changed(parameters: Parameters, **options: Any) -> Parameters:
+    """Return the parameters with those options that the command line has."""
+    given = {name: value for name, value in options.items() if value is not None}
+    return replace(parameters, **given)
+
+
 def _segmenter_plan(
-    configured: SegmentationSettings, segmenter: SegmenterName | None, model: str | None
+    configured: SegmentationSettings, segmenter: SegmenterKind | None, model: str | None
 ) -> SegmenterPlan:
     """Return the configured segmenter, changed by the command line; what the command line names must be usable."""
-    wanted = configured.segmenter if segmenter is None else segmenter.value
-    plan = plan_segmenter(
-        replace(configured, segmenter=wanted, model=configured.model if model is None else model)
-    )
-    is_needed = wanted == "mask" or segmenter is SegmenterName.ONNX or model is not None
-    if plan.trouble is not None and is_needed:
+    wanted = _changed(configured, segmenter=segmenter, model=model)
+    plan = plan_segmenter(wanted)
+    if plan.trouble is not None and (wanted.segmenter == "mask" or segmenter == "onnx" or model is not None):
         raise UsageError(plan.trouble)
     if plan.warning is not None:
         typer.echo(f"stonefall: {plan.warning}", err=True)
