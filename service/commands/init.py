@@ -5,8 +5,10 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import jinja2
+import tomli_w
 import typer
 
 from drivers.files.durable import write_file
@@ -16,11 +18,11 @@ from pipeline.frames import CameraId
 from pipeline.rig.design import nominal_rig
 from service.base.errors import SettingsError, UsageError
 from service.commands.cameras import ipv4_address
-from service.commands.init_file import Answers, configuration_text
 from service.commands.options import with_options
 from service.configuration.rig_settings import CameraPlace
 from service.configuration.settings import load_settings, problems, shortcomings
 
+TEMPLATE = Path(__file__).with_name("stonefall.toml.jinja")
 GATES = Path("/dev/serial/by-id")
 COLUMNS = ("serial", "address", "user_name")
 
@@ -98,7 +100,10 @@ def command(options: InitOptions) -> None:
     strobe_line, flash_us = options.strobe_line, options.flash_us
     if is_asked and strobe_line is None and flash_us is None:
         strobe_line, flash_us = _asked_light()
-    answers = Answers(
+    density_g_cm3 = options.density_g_cm3
+    if is_asked and density_g_cm3 is None:
+        density_g_cm3 = _asked_number("particle density of the product, g/cm3 (0 if it is not known)")
+    text = configuration_text(
         interfaces=interfaces,
         cameras=named,
         places=rig.camera_ids,
@@ -108,21 +113,21 @@ def command(options: InitOptions) -> None:
         calibration=rig_file,
         spool=options.spool.resolve(),
         store=options.store.resolve(),
-        density_g_cm3=options.density_g_cm3 or (_asked_density() if is_asked else None),
+        density_g_cm3=density_g_cm3,
         is_simulated=options.simulated,
     )
     options.file.parent.mkdir(parents=True, exist_ok=True)
     if not rig_file.exists():
         write_rig(rig_file, rig)
         typer.echo(f"{rig_file}: the rig's design, until it is calibrated")
-    write_file(options.file, configuration_text(answers).encode())
-    missing = _missing(options.file, answers)
+    write_file(options.file, text.encode())
+    missing = _missing(options.file, [place for place in rig.camera_ids if place not in named], gate)
     typer.echo(
         f"{options.file}: {'written; nothing is missing' if not missing else 'written, and not ready:'}"
     )
     for each in missing:
         typer.echo(f"  - {each}")
-    typer.echo(_next_steps(options.file, options.product, answers.density_g_cm3))
+    typer.echo(_next_steps(options.file, options.product, density_g_cm3))
     if missing:
         raise typer.Exit(1)
 
@@ -179,23 +184,28 @@ def _placed(
             f"  {device.serial:20} {device.address:15} {device.user_name} ({device.vendor} {device.model})"
         )
     answers = {
-        place: typer.prompt(
-            f"serial number of camera {place} (- if there is none yet)",
-            default=device.serial if device else "-",
+        place: _asked(
+            f"serial number of camera {place} (- if there is none yet)", device.serial if device else None
         )
         for place, device in suggested.items()
     }
-    return {place: _place(place, serial) for place, serial in answers.items() if serial != "-"}
+    return {place: _place(place, serial) for place, serial in answers.items() if serial is not None}
 
 
 def _place(place: str, serial: str) -> CameraPlace:
     return CameraPlace(id=CameraId(place), serial=serial)
 
 
+def _asked(question: str, default: str | None = None) -> str | None:
+    """Ask a question, to which `-` is no answer."""
+    said: str = typer.prompt(question, default=default or "-")
+    return None if said == "-" else said
+
+
 def _asked_interfaces() -> Sequence[str]:
     typer.echo(f"this machine has the addresses {', '.join(local_addresses())}")
-    said = typer.prompt("addresses towards the cameras, separated by spaces (- for all)", default="-")
-    return [] if said == "-" else [ipv4_address(each) for each in said.replace(",", " ").split()]
+    said = _asked("addresses towards the cameras, separated by spaces (- for all)") or ""
+    return [ipv4_address(each) for each in said.replace(",", " ").split()]
 
 
 def _found_gate(*, is_asked: bool) -> str | None:
@@ -204,35 +214,40 @@ def _found_gate(*, is_asked: bool) -> str | None:
         return ports[0] if len(ports) == 1 else None
     for port in ports:
         typer.echo(f"  {port}")
-    said: str = typer.prompt(
-        "port of the light gate (- if there is none yet)", default=ports[0] if ports else "-"
-    )
-    return None if said == "-" else said
+    return _asked("port of the light gate (- if there is none yet)", ports[0] if ports else None)
 
 
 def _asked_light() -> tuple[str | None, float | None]:
-    said = typer.prompt(
-        "output of the cameras that fires the light panels, such as Line2 (- if they are always on)",
-        default="-",
+    line = _asked(
+        "output of the cameras that fires the light panels, such as Line2 (- if they are always on)"
     )
-    if said == "-":
-        return None, None
-    flash_us = typer.prompt("light of one flash, us (0 if as long as the exposure)", type=float, default=0.0)
-    return said, flash_us or None
+    question = "light of one flash, us (0 if as long as the exposure)"
+    return line, None if line is None else _asked_number(question)
 
 
-def _asked_density() -> float | None:
-    return (
-        typer.prompt("particle density of the product, g/cm3 (0 if it is not known)", type=float, default=0.0)
-        or None
+def _asked_number(question: str) -> float | None:
+    return typer.prompt(question, type=float, default=0.0) or None
+
+
+def configuration_text(**site: Any) -> str:
+    """Return the file with the facts of a site, of which None is not known: a comment with an example, or MISSING."""
+    environment = jinja2.Environment(  # noqa: S701 - TOML, not HTML
+        trim_blocks=True, keep_trailing_newline=True, undefined=jinja2.StrictUndefined
     )
+    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(site, line=_line)
 
 
-def _missing(file: Path, answers: Answers) -> list[str]:
+def _line(name: str, value: Any, example: Any = None) -> str:
+    """Return a setting as TOML; without a value the example, as a comment."""
+    known = example if value is None else value
+    text = tomli_w.dumps({name: str(known) if isinstance(known, Path) else known}).rstrip()
+    return f"# {text}" if value is None else text
+
+
+def _missing(file: Path, absent: Sequence[str], gate: str | None) -> list[str]:
     """Return the missing and the wrong settings, in the words of `check-config`."""
-    absent = [place for place in answers.places if place not in answers.cameras]
     missing = [f"rig.cameras: no camera for {', '.join(absent)}"] if absent else []
-    if answers.gate is None:
+    if gate is None:
         missing.append(
             f"rig.gate: no light gate; {GATES} has {len(list(GATES.glob('*')))} ports: say --gate PORT"
         )
