@@ -22,7 +22,7 @@ from service.commands.rehearsal.expected import as_text
 from service.commands.rehearsal.recordings import RehearsedRecording, rehearsed_recording
 from service.commands.rehearsal.rehearsed_daemon import HOST, RehearsedDaemon, free_port, is_free
 from service.commands.rehearsal.rigs import ReplayedRig, Rig, SimulatedGigeRig
-from service.commands.rehearsal.script import Script, script_of, scripts
+from service.commands.rehearsal.script import scripts
 
 SETTINGS = {
     "spool": {"dir": "spool", "max_bundles": 100},
@@ -62,10 +62,16 @@ def command(options: RehearseOptions) -> None:
     Let your client follow the address that is printed. The command ends with what the client should have seen, and with
     each alarm, its cause and what to do.
     """
+    known = scripts()
     if options.is_list:
-        _print_scripts()
+        table = Table("script", "what happens", "needs", box=None)
+        for each in known.values():
+            table.add_row(each.name, each.title, "Aravis" if each.is_gige else "")
+        Console().print(table)
         return
-    chosen = script_of(options.script)
+    if options.script not in known:
+        raise UsageError(f"--script {options.script}: must be one of {', '.join(known)}")
+    chosen = known[options.script]
     port = options.port or free_port()
     if not is_free(port):
         raise UsageError(f"--port {port}: something else listens there")
@@ -78,7 +84,14 @@ def command(options: RehearseOptions) -> None:
             (sys.stderr if options.as_json else sys.stdout).flush()
 
         say(f"{chosen.name}: {chosen.title}")
-        rig = running.enter_context(_rig(chosen, options.speed, where))
+        recording = rehearsed_recording(chosen.recording)
+        is_looping = chosen.recording is not RehearsedRecording.BUMPED
+        rig: Rig = (
+            SimulatedGigeRig(recording, options.speed, where)
+            if chosen.is_gige
+            else ReplayedRig(recording, options.speed, is_looping=is_looping)
+        )
+        running.enter_context(rig)
         settings = merged(merged(SETTINGS, rig.settings()), chosen.settings)
         daemon = RehearsedDaemon(where, settings, port, has_own_clock=chosen.has_own_clock)
         running.callback(daemon.stop)
@@ -100,17 +113,3 @@ def _folder(wanted: Path | None, running: ExitStack) -> Path:
     if any(wanted.iterdir()):
         raise UsageError(f"--folder {wanted}: must be empty")
     return wanted.absolute()
-
-
-def _rig(script: Script, speed: float, folder: Path) -> Rig:
-    recording = rehearsed_recording(script.recording)
-    if script.is_gige:
-        return SimulatedGigeRig(recording, speed, folder)
-    return ReplayedRig(recording, speed, is_looping=script.recording is not RehearsedRecording.BUMPED)
-
-
-def _print_scripts() -> None:
-    table = Table("script", "what happens", "needs", box=None)
-    for each in scripts().values():
-        table.add_row(each.name, each.title, "Aravis" if each.is_gige else "")
-    Console().print(table)

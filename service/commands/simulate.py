@@ -8,6 +8,7 @@ import stat
 import sys
 import tempfile
 import threading
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from enum import StrEnum
@@ -17,6 +18,7 @@ from typing import Annotated
 
 import typer
 
+from drivers.errors import RecordingError
 from drivers.files.recording import open_recording
 from drivers.gige_simulator.rig import RigDesign, SimulatedRig
 from service.base.errors import UsageError
@@ -125,20 +127,36 @@ def command(options: SimulateOptions) -> None:
 
 
 def _rendered_recording(bodies: str, count: int, seed: int) -> Path:
-    """Return a recording of these bodies, rendered the first time and kept in the folder for temporary files."""
-    wanted = json.dumps([bodies, count, seed, ALGORITHM_VERSION])
-    name = f"recording-{hashlib.sha256(wanted.encode()).hexdigest()[:12]}"
+    def write(path: Path) -> None:
+        from service.commands import synthesize  # here: the renderer takes half a second to import
+
+        with redirect_stdout(sys.stderr):
+            synthesize.command(path, bodies=bodies, count=count, seed=seed)
+
+    return kept_recording("recording", [bodies, count, seed], write)
+
+
+def kept_recording(kind: str, made_of: Sequence[object], write: Callable[[Path], None]) -> Path:
+    """Return a recording, written the first time and kept in the folder for temporary files.
+
+    Raises
+    ------
+    UsageError
+        Others may write in that folder.
+    """
+    wanted = json.dumps([*made_of, ALGORITHM_VERSION])
     folder = Path(tempfile.gettempdir(), f"stonefall-{os.getuid()}")
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid():
         raise UsageError(f"{folder}: is not a folder of this user; nothing in it is trusted")
-    path = folder / name
+    path = folder / f"{kind}-{hashlib.sha256(wanted.encode()).hexdigest()[:12]}"
     if not path.exists():
-        from service.commands import synthesize  # here: the renderer takes half a second to import
-
-        with redirect_stdout(sys.stderr):
-            synthesize.command(path, bodies=bodies, count=count, seed=seed)
+        try:
+            write(path)
+        except (OSError, RecordingError):
+            if not path.exists():  # otherwise another process was quicker
+                raise
     return path
 
 

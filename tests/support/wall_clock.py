@@ -7,7 +7,7 @@ FILE has by how many seconds it is ahead of the host's; monotonic clocks go on.
 import sys
 from pathlib import Path
 
-from service.commands.rehearsal.wall_clock import follow_file, set_ahead
+from service.commands.rehearsal.rehearsed_daemon import follow_file, set_ahead
 
 __all__ = ["set_ahead"]
 

@@ -6,17 +6,12 @@ from typing import Any
 
 from service.base.language import Language
 from service.commands.rehearsal.expected import Expected, Observer, ends_of
-from service.commands.rehearsal.rehearsed_daemon import RehearsalError, RehearsedDaemon
+from service.commands.rehearsal.rehearsed_daemon import RehearsalError, RehearsedDaemon, set_ahead
 from service.commands.rehearsal.rigs import Rig
 from service.commands.rehearsal.script import Script
 from service.health.alarms.alarm import ACTIVE
 from service.store.backups import back_up, restore
 
-DEEDS = (
-    "product", "open", "close", "fall", "flow", "count", "rest", "kill", "restart", "cut", "expire", "reconnect",
-    "backup", "restore", "verify", "clock", "fault", "until", "without_files", "alarm",
-    "without_alarm", "wait",
-)  # fmt: skip
 OF_LOTS = ("triggers", "measured", "rejected", "lost", "verdict")
 OF_ALARMS = (
     "id", "check", "priority", "state", "raised_at", "cleared_at", "occurrences", "detail", "cause", "action",
@@ -137,7 +132,7 @@ class Day:
 
     def clock(self, ahead_s: float) -> None:
         """Set the wall clock of the daemon's host."""
-        self._daemon.set_clock(ahead_s)
+        set_ahead(self._daemon.clock, ahead_s)
 
     def fault(self, request: Mapping[str, Any]) -> None:
         """Break or mend something on the rig."""
@@ -198,6 +193,9 @@ class Day:
         figures = self._daemon.ask("GET", f"/lots/{lot}/gradation")
         known = self._daemon.ask("GET", f"/lots/{lot}")
         return {"lot": lot, "state": known["state"], **{name: figures[name] for name in OF_LOTS}}
+
+
+DEEDS = tuple(name for name in vars(Day) if not name.startswith("_") and name != "play")
 
 
 def _calling(alarms: Mapping[str, Any]) -> set[str]:

@@ -1,13 +1,9 @@
 """The recordings that are rehearsed with: rendered once, with a sixteenth of the pixels, so that they take seconds."""
 
-import hashlib
-import json
-import os
-import shutil
-import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +17,7 @@ from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.placement import drop_across, tumble
 from pipeline.synthesis.renderer import PlacedBody, RenderedRig, simulate_rig
 from pipeline.synthesis.stones import STONE_FORMS, stone
-from service.results.version import ALGORITHM_VERSION
+from service.commands.simulate import kept_recording
 
 VERSION = 2
 """To be raised when what is rendered changes."""
@@ -45,19 +41,10 @@ class RehearsedRecording(StrEnum):
 
 def rehearsed_recording(kind: RehearsedRecording) -> Path:
     """Return a recording, rendered the first time and kept in the folder for temporary files."""
-    wanted = json.dumps([VERSION, SEED, kind, ALGORITHM_VERSION])
-    folder = Path(tempfile.gettempdir(), f"stonefall-{os.getuid()}")
-    folder.mkdir(mode=0o700, exist_ok=True)
-    path = folder / f"rehearsal-{kind}-{hashlib.sha256(wanted.encode()).hexdigest()[:12]}"
-    if not path.exists():
-        with tempfile.TemporaryDirectory(dir=folder) as unfinished:
-            _write(Path(unfinished, "recording"), kind)
-            if not path.exists():  # another process may have been quicker
-                shutil.move(Path(unfinished, "recording"), path)
-    return path
+    return kept_recording(f"rehearsal-{kind}", [VERSION, SEED, kind], partial(_write, kind))
 
 
-def _write(path: Path, kind: RehearsedRecording) -> None:
+def _write(kind: RehearsedRecording, path: Path) -> None:
     rig = small_rig()
     writer = RecordingWriter(
         path,
@@ -124,9 +111,7 @@ def _bumped(rig: RigCalibration) -> RigCalibration:
     """Return the rig with one camera turned about its own vertical axis."""
     cos, sin = np.cos(TURN_RAD), np.sin(TURN_RAD)
     turn = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
-    cameras = []
-    for camera in rig.cameras:
-        turned = turn @ camera.R
-        is_hit = camera.id == BUMPED
-        cameras.append(replace(camera, R=turned, t_mm=-turned @ camera.center_mm) if is_hit else camera)
-    return replace(rig, cameras=tuple(cameras))
+    (camera,) = rig.subset([BUMPED]).cameras
+    turned = turn @ camera.R
+    bumped = replace(camera, R=turned, t_mm=-turned @ camera.center_mm)
+    return replace(rig, cameras=tuple(bumped if each.id == BUMPED else each for each in rig.cameras))

@@ -8,14 +8,14 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from datetime import datetime, tzinfo
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import tomli_w
 
 from service.base.errors import ServiceError
-from service.commands.rehearsal.wall_clock import set_ahead
 from service.web.version import BASE
 
 HOST = "127.0.0.1"
@@ -25,9 +25,12 @@ STOP_S = 60.0
 POLL_S = 0.1
 SERVE = "from service.commands.cli import main; main()"
 BY_OWN_CLOCK = (
-    "import sys; from pathlib import Path; from service.commands.rehearsal.wall_clock import follow_file;"
+    "import sys; from pathlib import Path; from service.commands.rehearsal.rehearsed_daemon import follow_file;"
     " follow_file(Path(sys.argv.pop(1)));"
 )
+
+
+hosts_time_s = time.time
 
 
 class RehearsalError(ServiceError):
@@ -41,6 +44,8 @@ class RehearsedDaemon:
     ----------
     settings
         The configuration that the next start has, as TOML has it.
+    clock
+        The file that its wall clock follows, see `set_ahead`.
     """
 
     def __init__(self, folder: Path, settings: Mapping[str, Any], port: int, *, has_own_clock: bool) -> None:
@@ -48,7 +53,7 @@ class RehearsedDaemon:
         self.settings = dict(settings)
         self.port = port
         self.state_dir = folder / "state"
-        self._config, self._log, self._clock = (
+        self._config, self._log, self.clock = (
             folder / "stonefall.toml",
             folder / "daemon.log",
             folder / "clock",
@@ -56,7 +61,7 @@ class RehearsedDaemon:
         self._has_own_clock = has_own_clock
         self._process: subprocess.Popen[bytes] | None = None
         self._asked_port = port
-        set_ahead(self._clock, 0)
+        set_ahead(self.clock, 0)
 
     def start(self, *, is_reachable: bool = True) -> None:
         """Start it and return when it answers: at the port of the rehearsal, or where no client looks for it."""
@@ -65,7 +70,7 @@ class RehearsedDaemon:
         self._config.write_text(tomli_w.dumps({**self.settings, "api": api}))
         command = [sys.executable, "-c", SERVE, "serve", "--config", str(self._config)]
         if self._has_own_clock:
-            command[2:3] = [BY_OWN_CLOCK + SERVE, str(self._clock)]
+            command[2:3] = [BY_OWN_CLOCK + SERVE, str(self.clock)]
         with self._log.open("ab") as log:
             # in a session of its own: Ctrl-C reaches only the rehearsal, which stops it
             self._process = subprocess.Popen(command, stderr=log, start_new_session=True)  # noqa: S603 - ourselves
@@ -89,10 +94,6 @@ class RehearsedDaemon:
             self._process.kill()
             self._process.wait()
             self._process = None
-
-    def set_clock(self, ahead_s: float) -> None:
-        """Set its wall clock to so many seconds ahead of the host's."""
-        set_ahead(self._clock, ahead_s)
 
     def ask(self, method: str, path: str, body: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return the answer to a request.
@@ -157,3 +158,30 @@ def is_free(port: int) -> bool:
         except OSError:
             return False
     return True
+
+
+def set_ahead(path: Path, seconds: float) -> None:
+    """Set the clock that follows a file, in one step."""
+    unfinished = path.with_suffix(".new")
+    unfinished.write_text(str(seconds))
+    unfinished.rename(path)
+
+
+def follow_file(path: Path) -> None:
+    """Set the clock of stonefall in this process ahead by the seconds in the file."""
+
+    def time_s() -> float:
+        return hosts_time_s() + float(path.read_text())
+
+    class Datetime(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> Self:
+            return cls.fromtimestamp(time_s(), tz)
+
+    import service.daemon.run  # noqa: F401 - whose clocks are replaced
+
+    time.time = time_s
+    for name, module in list(sys.modules.items()):
+        is_ours = name.startswith(("service.", "drivers.")) and name != __name__
+        if is_ours and getattr(module, "datetime", None) is datetime:
+            module.datetime = Datetime  # type: ignore[attr-defined]

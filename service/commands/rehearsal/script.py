@@ -7,7 +7,6 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter
 
-from service.base.errors import UsageError
 from service.commands.rehearsal.recordings import RehearsedRecording
 
 FOLDER = Path(__file__).parent / "scripts"
@@ -53,11 +52,3 @@ def scripts() -> dict[str, Script]:
         )
         for path in sorted(FOLDER.glob("*.toml"))
     }
-
-
-def script_of(name: str) -> Script:
-    """Return a script; raise `UsageError` if there is none of that name."""
-    known = scripts()
-    if name not in known:
-        raise UsageError(f"--script {name}: must be one of {', '.join(known)}")
-    return known[name]
