@@ -50,8 +50,9 @@ def open_history(state_dir: Path) -> None:
     finish_restore(state_dir)
     folder: Path | None = None
     is_new = not path.exists()
-    moved = None
-    if not is_new and (damage := _damage_at_start(state_dir)) is not None:
+    moved, is_met = None, (state_dir / MET).exists()
+    go_on = _for_seconds(FULL_CHECK_S if is_met else CHECK_S)
+    if not is_new and (damage := find_damage(path, go_on, n_newest=ALL if is_met else N_NEWEST)) is not None:
         moved = f"The database was damaged ({damage}) and was moved here."
     elif is_new and path.with_name(f"{DATABASE}-wal").exists():  # of one that was removed, or half moved away
         moved = "The WAL of a database that is gone was moved here."
@@ -85,7 +86,11 @@ def open_history(state_dir: Path) -> None:
                 explain(folder, f"The audit of the database {lacking}")
                 (state_dir / audit.DIGESTS).rename(folder / audit.DIGESTS)
         audit.keep_digests(connection, state_dir, n_kept)
-        _drop_unfinished(connection, state_dir)
+        instance_id, last_seq = connection.execute("SELECT instance_id, last_seq FROM store").fetchone()
+    # the folder of the next result, which a crash left without its row, under any day
+    name, particles_dir = particle_id(instance_id, last_seq + 1), state_dir / PARTICLES
+    for unfinished in (particles_dir / name, *particles_dir.glob(f"????-??-??/{name}")):
+        shutil.rmtree(unfinished, ignore_errors=True)
 
 
 def note_damage(state_dir: Path, detail: str) -> None:
@@ -97,13 +102,6 @@ def note_damage(state_dir: Path, detail: str) -> None:
 def backups_in(state_dir: Path) -> list[Path]:
     """Return all copies of the database, the oldest first."""
     return sorted((state_dir / BACKUPS).glob("results-*.sqlite"))
-
-
-def _damage_at_start(state_dir: Path) -> str | None:
-    """Return the damage of the database; all records are parsed if one was met since the last start."""
-    is_met = (state_dir / MET).exists()
-    go_on = _for_seconds(FULL_CHECK_S if is_met else CHECK_S)
-    return find_damage(state_dir / DATABASE, go_on, n_newest=ALL if is_met else N_NEWEST)
 
 
 def _offer(state_dir: Path) -> str:
@@ -298,12 +296,3 @@ def particle_folders(state_dir: Path, newest_days: int | None = None) -> Iterato
                 number = path.name.rpartition("-")[2]
                 if number.isdigit() and not DAY.fullmatch(path.name):
                     yield path, int(number)
-
-
-def _drop_unfinished(connection: sqlite3.Connection, state_dir: Path) -> None:
-    """Remove the folder of the next result, which a crash left without its row, under any day."""
-    instance_id, last_seq = connection.execute("SELECT instance_id, last_seq FROM store").fetchone()
-    name = particle_id(instance_id, last_seq + 1)
-    particles_dir = state_dir / PARTICLES
-    for path in (particles_dir / name, *particles_dir.glob(f"????-??-??/{name}")):
-        shutil.rmtree(path, ignore_errors=True)

@@ -29,10 +29,7 @@ STEP = 50_000
 def columns(connection: sqlite3.Connection) -> Columns:
     """Return the columns of the database, none before it has the table.
 
-    Raises
-    ------
-    ValueError
-        A column is none that `add_columns` makes.
+    Raises `ValueError` if one is none that `add_columns` makes.
     """
     rows = connection.execute("SELECT name, type FROM pragma_table_info('indexed_fields')").fetchall()
     if not all(name.isidentifier() and kind in {"TEXT", *SQL_TYPES.values()} for name, kind in rows):
@@ -46,19 +43,15 @@ def missing_columns(connection: sqlite3.Connection) -> Columns:
     return tuple((name, _sql_type(name)) for name in INDEXED_FIELDS if name not in present)
 
 
-def add_row(connection: sqlite3.Connection, seq: int) -> None:
-    """Add the row of a new result, within its transaction."""
-    _insert(connection, "seq = ?", seq)
-
-
-def update_row(connection: sqlite3.Connection, seq: int) -> None:
-    """Copy the newest revision of a result, within the transaction that adds it; `seq` is that of the first."""
-    _update(connection, columns(connection), "indexed_fields.seq = ?", seq)
-
-
-def add_balls(connection: sqlite3.Connection) -> None:
-    """Add the rows of balls, which the table of schema 14 did not have."""
-    _insert(connection, "seq IN (SELECT seq FROM listed WHERE kind = 'ball')")
+def index_results(connection: sqlite3.Connection, condition: str, *values: int) -> None:
+    """Add the rows of results, or replace them by what their newest revisions say, in the transaction of these."""
+    names = [name for name, _ in columns(connection)]
+    copied = ", ".join(f"record ->> '{name}'" for name in names)
+    connection.execute(
+        f"INSERT OR REPLACE INTO indexed_fields (seq, id, lot, n_stones, {', '.join(names)})"  # noqa: S608 - names are checked
+        f" SELECT seq, id, lot, coalesce(record ->> 'n_stones', 1), {copied} FROM newest_records WHERE {condition}",
+        values,
+    )
 
 
 def add_columns(connection: sqlite3.Connection, added: Columns) -> None:
@@ -76,31 +69,18 @@ def fill_step(connection: sqlite3.Connection) -> bool:
     (last_seq,) = connection.execute("SELECT coalesce(max(seq), 0) FROM indexed_fields").fetchone()
     first = min(unfilled.values())
     last = min(first + STEP - 1, last_seq)
-    copied = tuple(column for column in columns(connection) if column[0] in unfilled)
-    _update(connection, copied, "indexed_fields.seq BETWEEN ? AND ?", first, last)
+    changes = ", ".join(
+        f"{name} = record ->> '{name}'" for name, _ in columns(connection) if name in unfilled
+    )
+    connection.execute(
+        f"UPDATE indexed_fields SET {changes} FROM newest_records"  # noqa: S608 - as above
+        " WHERE newest_records.seq = indexed_fields.seq AND indexed_fields.seq BETWEEN ? AND ?",
+        (first, last),
+    )
     connection.execute("UPDATE unfilled_columns SET from_seq = ?", (last + 1,))
     connection.execute("DELETE FROM unfilled_columns WHERE from_seq > ?", (last_seq,))
     log.info("the store indexes %s: up to result %d of %d", ", ".join(unfilled), last, last_seq)
     return True
-
-
-def _insert(connection: sqlite3.Connection, condition: str, *values: int) -> None:
-    names = [name for name, _ in columns(connection)]
-    copied = ", ".join(f"record ->> '{name}'" for name in names)
-    connection.execute(
-        f"INSERT INTO indexed_fields (seq, id, lot, n_stones, {', '.join(names)})"  # noqa: S608 - names are checked
-        f" SELECT seq, id, lot, coalesce(record ->> 'n_stones', 1), {copied} FROM newest_records WHERE {condition}",
-        values,
-    )
-
-
-def _update(connection: sqlite3.Connection, copied: Columns, condition: str, *values: int) -> None:
-    changes = [f"{name} = record ->> '{name}'" for name, _ in copied]
-    connection.execute(
-        f"UPDATE indexed_fields SET {', '.join(changes)}"  # noqa: S608 - as above
-        f" FROM newest_records WHERE newest_records.seq = indexed_fields.seq AND {condition}",
-        values,
-    )
 
 
 def _sql_type(name: str) -> str:

@@ -23,9 +23,11 @@ BUSY_S = 0.5
 """Longest wait for another connection that has the database locked, before that is reported."""
 STEPS: Mapping[str, Callable[[sqlite3.Connection], None]] = {
     "013_audit_urls.sql": audit.redact_configurations,
-    "015_indexed_fields.sql": indexed_fields.add_balls,
+    "015_indexed_fields.sql": lambda connection: indexed_fields.index_results(
+        connection, "seq IN (SELECT seq FROM listed WHERE kind = 'ball')"
+    ),
 }
-"""What a migration does after its script, in the same transaction."""
+"""What a migration does after its script, in the same transaction: the table of 014 had no balls."""
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -58,7 +60,19 @@ def prepare(path: Path) -> None:
     """Create the database, or bring an older one to today's schema; raise `StoreError` if it is of a newer one."""
     with closing(sqlite3.connect(path, isolation_level=None, timeout=BUSY_S)) as connection:
         connection.execute("PRAGMA journal_mode = WAL")
-        _migrate(connection)
+        (version,) = connection.execute("PRAGMA user_version").fetchone()
+        if version > newest_version():
+            raise StoreError(
+                f"schema {version} was written by a newer stonefall; this one knows schemas up to {newest_version()}:"
+                " start the newer one, or choose another store.dir"
+            )
+        _apply(connection, version, newest_version())
+        with transaction(connection):
+            indexed_fields.add_columns(connection, indexed_fields.missing_columns(connection))
+        is_left = True
+        while is_left:
+            with transaction(connection):
+                is_left = indexed_fields.fill_step(connection)
         connection.execute("INSERT OR IGNORE INTO store (one, instance_id) VALUES (1, ?)", (new_instance(),))
 
 
@@ -154,22 +168,6 @@ def expected_objects(version: int, columns: indexed_fields.Columns = ()) -> Obje
             added = tuple(each for each in columns if each not in present)
             indexed_fields.add_columns(connection, added)
         return objects(connection)
-
-
-def _migrate(connection: sqlite3.Connection) -> None:
-    (version,) = connection.execute("PRAGMA user_version").fetchone()
-    if version > newest_version():
-        raise StoreError(
-            f"schema {version} was written by a newer stonefall; this one knows schemas up to {newest_version()}:"
-            " start the newer one, or choose another store.dir"
-        )
-    _apply(connection, version, newest_version())
-    with transaction(connection):
-        indexed_fields.add_columns(connection, indexed_fields.missing_columns(connection))
-    is_left = True
-    while is_left:
-        with transaction(connection):
-            is_left = indexed_fields.fill_step(connection)
 
 
 def _apply(connection: sqlite3.Connection, version: int, target: int) -> None:

@@ -90,7 +90,9 @@ class StoreWriter:
                     self._require_in_place()
                     if not self._is_damaged:
                         result = write(self._connect())
-                        self._release()
+                        if self._trouble is not None:
+                            log.warning("the store is written again, it was held: %s", self._trouble.detail)
+                            self._trouble = None
                         return result
                 except (sqlite3.Error, OSError, ValueError) as err:  # the last also of a damaged record
                     trouble = trouble_of(err)
@@ -109,11 +111,6 @@ class StoreWriter:
     @property
     def _is_damaged(self) -> bool:
         return self._trouble is not None and self._trouble.cause is TroubleCause.DAMAGED
-
-    def _release(self) -> None:
-        if self._trouble is not None:
-            log.warning("the store is written again, it was held: %s", self._trouble.detail)
-            self._trouble = None
 
     def _require_in_place(self) -> None:
         """Hold for good when the open file is no longer the one of this name: what is written would be gone."""

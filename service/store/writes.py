@@ -217,7 +217,7 @@ def add_revision(
         "INSERT INTO revisions (seq, first, revision, record) VALUES (?, ?, ?, ?)",
         (seq, first, revision, _durable(record, identity, kept, seq)),
     )
-    indexed_fields.update_row(connection, first)
+    indexed_fields.index_results(connection, "seq = ?", first)
     connection.execute("UPDATE files SET bytes = bytes + ? WHERE seq = ?", (sum(kept.values()), first))
     return int(seq)
 
@@ -279,7 +279,7 @@ def _end(
         "INSERT INTO results (seq, id, trigger, session, record) VALUES (?, ?, ?, ?, ?)",
         (seq, name, trigger, session, _durable(record, identity, kept, name)),
     )
-    indexed_fields.add_row(connection, seq)
+    indexed_fields.index_results(connection, "seq = ?", seq)
     if record["outcome"] != Outcome.LOST:
         connection.execute(
             "INSERT INTO files (seq, folder, bytes) VALUES (?, ?, ?)", (seq, folder, sum(kept.values()))

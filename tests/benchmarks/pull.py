@@ -22,7 +22,7 @@ from support.printed import show
 from support.reference_client import start_client
 from support.small_recording import write_small_recording
 
-from service.store.indexed_fields import add_row
+from service.store.indexed_fields import index_results
 
 
 def main() -> None:
@@ -45,7 +45,9 @@ def main() -> None:
             daemon.hear("READY=1")
             url = daemon.url("").removesuffix("/api/v1")
             for fields in ("lean", "all"):
-                table.add_row(fields, str(n), f"{pulled_s(url, folder / fields, fields, n):.1f}")
+                table.index_results(
+                    fields, "seq = ?", str(n), f"{pulled_s(url, folder / fields, fields, n):.1f}"
+                )
     show(table, as_json=arguments.json)
 
 
@@ -67,7 +69,7 @@ def multiply_newest(database: Path, n: int) -> None:
                 "INSERT INTO results (seq, id, trigger, session, record) VALUES (?, ?, ?, ?, ?)",
                 (number, record["id"], key, session, json.dumps(record)),
             )
-            add_row(connection, number)
+            index_results(connection, "seq = ?", number)
         connection.execute("UPDATE store SET last_seq = ?", (n,))
 
 

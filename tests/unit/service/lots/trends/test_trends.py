@@ -20,7 +20,7 @@ from service.lots.trends.stretches import stretch, times_of
 from service.lots.trends.trend import bucket_s_of, trend
 from service.reports.changes import sentence, with_sentences
 from service.reports.words import words
-from service.store.indexed_fields import add_row
+from service.store.indexed_fields import index_results
 from service.store.schema import connect, prepare
 from service.store.writes import begin_session
 
@@ -106,7 +106,7 @@ def test_stones_of_a_replay_count_when_their_results_came(connection: sqlite3.Co
             "INSERT INTO results (seq, id, trigger, session, record) VALUES (?, ?, ?, ?, ?)",
             (seq, record["id"], seq, session, json.dumps(record | came)),
         )
-        add_row(connection, seq)
+        index_results(connection, "seq = ?", seq)
     buckets = trend(connection, rfc3339(at(0)), 1, OF_THE_RIG).buckets
     assert [(bucket.n_stones, bucket.measured) for bucket in buckets if bucket.n_stones] == [(30, 27)]
     times = times_of(connection, rfc3339(at(-1)), rfc3339(at(0)))
