@@ -96,13 +96,38 @@ class Trigger:
     n_stones: int = 1  # more: as many stones together, which only the gate's counter knows
 
 
+class MissingReason(StrEnum):
+    """Why a bundle lacks a camera's frame, as decided where frames are joined; drivers give reasons of their own."""
+
+    NO_FRAME = "no_frame"
+    """No frame came from the camera until the deadline."""
+    CAMERA_LOST = "camera_lost"
+    """The camera does not answer."""
+    AMBIGUOUS = "ambiguous"
+    """Two different frames came for one trigger."""
+    OTHER_EXPOSURE = "other_exposure"
+    """By its camera's clock the frame was exposed for another trigger."""
+    FROZEN = "frozen"
+    """The image equals the camera's previous one bit for bit, which no sensor does twice."""
+    DEAD_TIME = "dead_time"
+    """The trigger followed another within the gate's dead time; the frames belong to the first."""
+    DISARMED = "disarmed"
+    """The rig was disarmed before the frame came."""
+    STONE_PASSED = "stone_passed"
+    """The empty rig was exposed while a stone fell."""
+    UNSEEN = "unseen"
+    """The gate counted the trigger and did not announce it, and no camera exposed."""
+    DOWN = "down"
+    """The gate counted the trigger while no daemon ran."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameBundle:
     """The frames of one trigger, and the reason why a camera in `missing` has none that is usable."""
 
     trigger: Trigger
     frames: Mapping[CameraId, Frame]
-    missing: Mapping[CameraId, str] = field(default_factory=dict)
+    missing: Mapping[CameraId, str] = field(default_factory=dict)  # `MissingReason`, or a driver's own
     unreadable: str | None = None
     """What is wrong with the recorded file that the frames should have come from, if none could be read."""
 

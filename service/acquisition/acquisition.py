@@ -17,7 +17,7 @@ from drivers.factory import Devices
 from drivers.files.times import utc_ago
 from drivers.inbox import EventInbox
 from drivers.interfaces import CameraLost, CameraVitals, DeviceEvent, GateLost, PlaybackEnded, TriggersLost
-from pipeline.frames import CameraId, FrameBundle, Trigger
+from pipeline.frames import CameraId, FrameBundle, MissingReason, Trigger
 from service.acquisition.checks import rig_checks
 from service.acquisition.device_keeper import DeviceKeeper
 from service.acquisition.empty_rig import EmptyRigParameters, expose_empty_rig
@@ -25,7 +25,6 @@ from service.acquisition.gate_watch import GateWatch
 from service.acquisition.rig_cameras import RigCameras
 from service.acquisition.shown_camera import ShownCamera
 from service.acquisition.triggers import TriggerLog, Triggers
-from service.base.missing_reason import MissingReason
 from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,

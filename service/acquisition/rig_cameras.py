@@ -13,10 +13,9 @@ import numpy as np
 
 from drivers.errors import LossCause
 from drivers.interfaces import Camera, CameraBack, CameraLost, DeviceEvent, EventSink, FrameLost
-from pipeline.frames import CameraId, Frame, FrameBundle, Image
+from pipeline.frames import CameraId, Frame, FrameBundle, Image, MissingReason
 from service.acquisition.device_keeper import DeviceKeeper, DeviceLoss
 from service.acquisition.exposure_skew import ExposureSkew
-from service.base.missing_reason import MissingReason
 from service.base.status import CameraStatus, DeviceState
 from service.bundling.frame_account import BundlingCounters, CameraCounters
 

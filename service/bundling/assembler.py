@@ -30,8 +30,7 @@ from drivers.interfaces import (
     TriggersIgnored,
     TriggersLost,
 )
-from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
-from service.base.missing_reason import MissingReason
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, MissingReason, Trigger
 from service.bundling.exposure_check import ExposureCheck, MatchedFrame
 from service.bundling.frame_account import BundlingCounters, CameraCounters, FrameAccount
 from service.bundling.missed_triggers import CounterGap, MissedTriggers

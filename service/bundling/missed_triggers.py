@@ -7,8 +7,7 @@ the gate's next line. The two are compared only when all frames have had time to
 from collections import deque
 from typing import NamedTuple
 
-from pipeline.frames import Trigger
-from service.base.missing_reason import MissingReason
+from pipeline.frames import MissingReason, Trigger
 
 MAX_SINGLE = 100
 """Most stones of a gap in the gate's counter that are told one by one; those of a longer one are told as a number."""

@@ -3,8 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from pipeline.frames import CameraId, Frame, FrameBundle, Trigger
-from service.base.missing_reason import MissingReason
+from pipeline.frames import CameraId, Frame, FrameBundle, MissingReason, Trigger
 
 
 @dataclass(slots=True, kw_only=True)

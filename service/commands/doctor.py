@@ -153,7 +153,7 @@ def _rig(settings: Settings, host: Host, daemon: DaemonClient, *, is_fired: bool
         yield from check_cameras(rig, host)
     yield check_gate(rig)
     if is_fired:
-        yield from asyncio.run(check_pulse(rig, settings.bundling))
+        yield from asyncio.run(check_pulse(rig, settings))
 
 
 def _show(title: str, findings: Sequence[Finding]) -> None:

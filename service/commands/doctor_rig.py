@@ -17,9 +17,9 @@ from pipeline.frames import BundleKind, CameraId, FrameBundle
 from service.acquisition.acquisition import Acquisition, AcquisitionParameters
 from service.acquisition.empty_rig import EmptyRigParameters
 from service.base.status import AcquisitionTarget
-from service.bundling.parameters import BundlingParameters
 from service.configuration.live_rig import LiveRigSettings
 from service.configuration.rig_settings import AravisRigSettings
+from service.configuration.settings import Settings
 from service.host.finding import Finding, fault, judged, unknown
 from service.host.host import Host
 
@@ -153,7 +153,7 @@ def check_gate(rig: LiveRigSettings) -> Finding:
     )
 
 
-async def check_pulse(rig: LiveRigSettings, bundling: BundlingParameters) -> list[Finding]:
+async def check_pulse(rig: LiveRigSettings, settings: Settings) -> list[Finding]:
     """Expose the empty rig by the gate's test pulse, and again without the flash; return what the cameras saw.
 
     Opening the cameras sets them as configured; those that are opened without their flash get it back when they close.
@@ -162,8 +162,13 @@ async def check_pulse(rig: LiveRigSettings, bundling: BundlingParameters) -> lis
         backend = rig.backend_for(read_rig(rig.calibration))
     except (DriverError, KeyError) as err:
         return [unknown("test pulse", f"not fired: {err}", WANTED)]
-    bundling = rig.bundling_for(bundling)
-    lit = await _exposed(backend, bundling)
+    parameters = AcquisitionParameters(
+        session=0,
+        bundling=rig.bundling_for(settings.bundling),
+        min_cameras=1,
+        empty_rig=EmptyRigParameters(at_start=1, every_s=0),
+    )
+    lit = await _exposed(backend, parameters)
     if isinstance(lit, Finding):
         return [lit]
     findings = list(_judged_pulse(lit))
@@ -174,26 +179,17 @@ async def check_pulse(rig: LiveRigSettings, bundling: BundlingParameters) -> lis
             findings.append(unknown("flash", found, WANTED_LIGHT))
         return findings
     off = tuple(replace(camera, is_strobe_off=True) for camera in cameras)
-    unlit = await _exposed(replace(backend, cameras=off), bundling)
+    unlit = await _exposed(replace(backend, cameras=off), parameters)
     if isinstance(unlit, Finding):
         return [*findings, unknown("flash", f"not measured: without it, {unlit.found}", WANTED_LIGHT)]
     return [*findings, judge_flash(_greys(lit), _greys(unlit))]
 
 
-async def _exposed(backend: LiveBackend, bundling: BundlingParameters) -> FrameBundle | Finding:
+async def _exposed(backend: LiveBackend, parameters: AcquisitionParameters) -> FrameBundle | Finding:
     """Arm the rig, fire one test pulse, and disarm; return its bundle, or the fault that there is none."""
     devices = build_devices(backend)
     bundles: asyncio.Queue[FrameBundle] = asyncio.Queue()
-    acquisition = Acquisition(
-        devices,
-        AcquisitionParameters(
-            session=0,
-            bundling=bundling,
-            min_cameras=1,
-            empty_rig=EmptyRigParameters(at_start=1, every_s=0),
-        ),
-        on_bundle=bundles.put_nowait,
-    )
+    acquisition = Acquisition(devices, parameters, on_bundle=bundles.put_nowait)
     acquiring = asyncio.create_task(acquisition.run())
     acquisition.request(AcquisitionTarget.ARMED)
     try:

@@ -46,29 +46,22 @@ def build_segmenter(
     plan: SegmenterPlan, parameters: SegmentationParameters
 ) -> ChoosingSegmenter | MaskSegmenter:
     """Return the segmenter of a plan; without the network if this process cannot load it."""
-    network, wanted = _network(plan), plan.wanted
-    if wanted == "mask":
-        if network is not None:
-            return MaskSegmenter(network)
-        wanted = "auto"  # each result then says what is missing
+    network: Network | None = None
+    if plan.model is not None:
+        try:
+            network = load_network(plan.model, plan.providers or available_providers())
+        except ModelError as err:
+            log.error("classical mode: %s", err)
+        else:
+            if network.fallback is not None:
+                log.warning("segmentation: %s", network.fallback)
+    if plan.wanted == "mask" and network is not None:
+        return MaskSegmenter(network)
     return ChoosingSegmenter(
         classical=BackgroundSegmenter(parameters),
         network=None if network is None else NetworkSegmenter(network, parameters),
-        wanted=wanted,
+        wanted="auto" if plan.wanted == "mask" else plan.wanted,  # each result then says what is missing
     )
-
-
-def _network(plan: SegmenterPlan) -> Network | None:
-    if plan.model is None:
-        return None
-    try:
-        network = load_network(plan.model, plan.providers or available_providers())
-    except ModelError as err:
-        log.error("classical mode: %s", err)
-        return None
-    if network.fallback is not None:
-        log.warning("segmentation: %s", network.fallback)
-    return network
 
 
 def warm_up(segmenter: ChoosingSegmenter | MaskSegmenter) -> None:

@@ -17,8 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drivers.files.bundle_file import overwrite_bundle
-from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
-from service.base.missing_reason import MissingReason
+from pipeline.frames import BundleKind, CameraId, FrameBundle, MissingReason, Trigger
 from service.base.status import Checks, CheckStatus, HealthCheck
 from service.processing.left_bundles import LeftBundle, is_left, remove_backgrounds
 from service.results.fields import LossReason

@@ -1,5 +1,6 @@
 """The cameras of the rig, live."""
 
+from dataclasses import asdict
 from typing import Any
 
 from fastapi import APIRouter
@@ -117,13 +118,7 @@ async def identify_camera(
         raise Problem(503, "camera-unavailable", str(err), cause=err.cause) from err
     after = {"seconds": wanted.seconds, "serial": vitals.serial}
     await context.store.note_change(asking, "camera identified", name, after=after)
-    return {
-        "id": name,
-        "seconds": wanted.seconds,
-        "serial": vitals.serial,
-        "model": vitals.model,
-        "address": vitals.address,
-    }
+    return {"id": name, "seconds": wanted.seconds, **asdict(vitals)}
 
 
 def _status_of(context: ApiContext, camera: str) -> CameraStatus:

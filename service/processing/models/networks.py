@@ -12,8 +12,6 @@ import zipfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from importlib.resources import files
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -21,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from drivers.files.durable import write_file
+from pipeline import segmentation
 from pipeline.errors import ModelError
 from pipeline.segmentation.network import CPU, Network, load_network
 from service.base.paths import user_cache
@@ -161,10 +160,10 @@ def _downloaded(published: PublishedModel, folder: Path) -> Path:
     )
 
 
-def _place(model: str, models_dir: Path) -> tuple[Path | Traversable, PublishedModel | None]:
+def _place(model: str, models_dir: Path) -> tuple[Path, PublishedModel | None]:
     """Return the file that a name stands for, which need not exist, and what is known of it as a published model."""
     if not model:
-        return files("pipeline.segmentation").joinpath(f"{BUILT_IN}.onnx"), None
+        return Path(segmentation.__file__).with_name(f"{BUILT_IN}.onnx"), None
     if model in PUBLISHED:
         return models_dir / f"{model}.onnx", PUBLISHED[model]
     if Path(model).name == model and Path(model).suffix != ".onnx":
@@ -172,13 +171,10 @@ def _place(model: str, models_dir: Path) -> tuple[Path | Traversable, PublishedM
     return Path(model), None
 
 
-def _checked(place: Path | Traversable, published: PublishedModel | None) -> bytes:
+def _checked(place: Path, published: PublishedModel | None) -> bytes:
     """Return the content of a model's file; raise `ModelError` when it is missing or altered."""
     # with --dir: the user who reads this may have another cache than the user that the service runs as
-    folder = f" --dir {place.parent}" if isinstance(place, Path) else ""
-    remedy = (
-        f"stonefall models fetch {published.name}{folder}" if published else f"stonefall models list{folder}"
-    )
+    remedy = f"stonefall models {f'fetch {published.name}' if published else 'list'} --dir {place.parent}"
     try:
         content = place.read_bytes()
     except FileNotFoundError as err:
@@ -201,12 +197,9 @@ def _require_sha256(content: bytes, expected: str, what: str, remedy: str) -> No
         )
 
 
-def _description(place: Path | Traversable) -> dict[str, Any]:
+def _description(place: Path) -> dict[str, Any]:
     """Return the JSON description beside a model, empty without one."""
-    if isinstance(place, Path):
-        beside: Path | Traversable = place.with_suffix(".json")
-    else:
-        beside = files("pipeline.segmentation").joinpath(f"{BUILT_IN}.json")
+    beside = place.with_suffix(".json")
     try:
         document = json.loads(beside.read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -18,7 +18,7 @@ from support.bundling import (
 )
 
 from drivers.interfaces import TriggersLost
-from service.base.missing_reason import MissingReason
+from pipeline.frames import MissingReason
 from service.bundling.assembler import DELIVERY_NS, BundleAssembler
 from service.bundling.missed_triggers import MAX_ORPHANS, MAX_SINGLE, CounterGap, MissedTriggers
 from service.bundling.parameters import BundlingParameters

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.files.recording import read_bundle
-from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
-from service.base.missing_reason import MissingReason
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, MissingReason, Trigger
 from service.processing import spool as spool_module
 from service.processing.spool import SPARE_FILES, BundleFiles, Loss, Spool, SpooledBundle
 from service.results.fields import LossReason
