@@ -26,10 +26,10 @@ from drivers.files.durable import new_folder, read_json, write_json
 from drivers.files.rig_file import read_rig, write_rig
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
+from service.base import aside
 from service.base.schema import ANSWER, Time
 from service.calibration.states import CalibrationState
 from service.processing.measure_job import RigFile
-from service.store.history import aside_folder, explain
 
 log = logging.getLogger(__name__)
 
@@ -159,9 +159,9 @@ class CalibrationFiles:
 
     def set_activations_aside(self, why: str) -> None:
         """Move the damaged list of activations away, with a note that says why."""
-        path, aside = self.folder / ACTIVATIONS, aside_folder(self.folder.parent, "damaged")
-        path.replace(aside / ACTIVATIONS)
-        explain(aside, why)
+        path, folder = self.folder / ACTIVATIONS, aside.new_folder(self.folder.parent, "damaged")
+        path.replace(folder / ACTIVATIONS)
+        aside.explain(folder, why)
 
     def write_activations(self, activations: Activations) -> None:
         """Replace the list of activations, and thereby which calibration is in use."""

@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.files.durable import replacing, sync
+from service.base import aside
 from service.base.errors import StoreError
 from service.store import audit, history, schema
 from service.store.damage import ALL, find_damage
@@ -158,7 +159,7 @@ def _require_backup(source: Path, copy: Path) -> None:
 def _require_own_audit(source: Path, connection: sqlite3.Connection, state_dir: Path) -> None:
     """Raise `StoreError` unless the audit of a backup begins like one whose digests this store has kept."""
     chain = audit.check_chain(connection)
-    folders = (state_dir, *(state_dir / history.ASIDE).glob("*"))
+    folders = (state_dir, *(state_dir / aside.ASIDE).glob("*"))
     kept = [digests[: chain.n_entries] for folder in folders if (digests := audit.kept_digests(folder))]
     broken_at = [audit.check_chain(connection, digests).broken_at for digests in kept] or [chain.broken_at]
     if None not in broken_at:

@@ -14,10 +14,10 @@ import sqlite3
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
-from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.files.durable import read_json, sync, write_json
+from service.base import aside
 from service.store import audit, schema
 from service.store.damage import ALL, N_NEWEST, find_damage
 from service.store.events import NEW_HISTORY_STEP
@@ -25,10 +25,10 @@ from service.store.particle_files import particle_id, path_of
 
 log = logging.getLogger(__name__)
 
-DATABASE, PARTICLES, BACKUPS, ASIDE = "results.sqlite", "particles", "backups", "aside"
+DATABASE, PARTICLES, BACKUPS = "results.sqlite", "particles", "backups"
 RESTORED = f"{DATABASE}.restored"
 """Copy that is completed to take the place of the database."""
-ACKNOWLEDGED, NOTE = "acknowledged", "note.txt"
+ACKNOWLEDGED = "acknowledged"
 DAY = re.compile(r"\d{4}-\d\d-\d\d")
 MET = "damage-met"
 """File that says that the last daemon has met damage of the database."""
@@ -57,8 +57,8 @@ def open_history(state_dir: Path) -> None:
     elif is_new and path.with_name(f"{DATABASE}-wal").exists():  # of one that was removed, or half moved away
         moved = "The WAL of a database that is gone was moved here."
     if moved is not None:
-        folder = aside_folder(state_dir, "damaged")
-        explain(folder, f"{moved} {_offer(state_dir)}")
+        folder = aside.new_folder(state_dir, "damaged")
+        aside.explain(folder, f"{moved} {_offer(state_dir)}")
         move_database(path, folder)
         is_new = True
     (state_dir / MET).unlink(missing_ok=True)
@@ -69,11 +69,11 @@ def open_history(state_dir: Path) -> None:
     schema.prepare(path)
     with closing(schema.connect(path)) as connection:
         if loss := _find_loss(connection, state_dir, is_new=is_new):
-            folder = folder or aside_folder(state_dir, "lost-rows")
+            folder = folder or aside.new_folder(state_dir, "lost-rows")
             instance_id, highest = renumber(connection, state_dir, "history begun anew", folder.name)
             # first of all: what is moved away is evidence that these numbers were given
             acknowledge(state_dir, instance_id, highest)
-            explain(folder, f"{loss} The feed goes on after {highest}, with a new instance_id.")
+            aside.explain(folder, f"{loss} The feed goes on after {highest}, with a new instance_id.")
             _move_strays(connection, state_dir, folder)
         n_kept = len(known)
         if not audit.has_kept(connection, known):
@@ -81,9 +81,9 @@ def open_history(state_dir: Path) -> None:
             if is_audit_known:  # a migration made it anew
                 (state_dir / audit.DIGESTS).unlink()
             else:
-                folder = folder or aside_folder(state_dir, "audit")
+                folder = folder or aside.new_folder(state_dir, "audit")
                 lacking = f"lacks some of the {len(known)} entries whose digests are here."
-                explain(folder, f"The audit of the database {lacking}")
+                aside.explain(folder, f"The audit of the database {lacking}")
                 (state_dir / audit.DIGESTS).rename(folder / audit.DIGESTS)
         audit.keep_digests(connection, state_dir, n_kept)
         instance_id, last_seq = connection.execute("SELECT instance_id, last_seq FROM store").fetchone()
@@ -151,7 +151,7 @@ def _move_strays(connection: sqlite3.Connection, state_dir: Path, folder: Path) 
 
 def switch_later(state_dir: Path, why: str) -> None:
     """Note durably that the finished copy is to take the place of the database, which `finish_restore` does."""
-    write_json(state_dir / RESTORING, {"folder": _aside_name("before-restore"), "why": why})
+    write_json(state_dir / RESTORING, {"folder": aside.folder_name("before-restore"), "why": why})
 
 
 def finish_restore(state_dir: Path) -> tuple[Path, int] | None:
@@ -167,10 +167,10 @@ def finish_restore(state_dir: Path) -> tuple[Path, int] | None:
             left.unlink()
         return None
     note = read_json(noted)
-    folder: Path = state_dir / ASIDE / note["folder"]
+    folder: Path = state_dir / aside.ASIDE / note["folder"]
     folder.mkdir(parents=True, exist_ok=True)
-    if not (folder / NOTE).exists():
-        explain(folder, note["why"])
+    if not (folder / aside.NOTE).exists():
+        aside.explain(folder, note["why"])
     if copy.exists():  # until then, the files of this name are those of the former database
         move_database(path, folder)
         copy.rename(path)
@@ -191,13 +191,13 @@ def move_particles(paths: Sequence[Path], folder: Path) -> None:
     (folder / PARTICLES).mkdir(exist_ok=True)
     for path in paths:
         path.rename(folder / PARTICLES / path.name)
-    explain(folder, f"{len(paths)} folders of particles without a result were moved here.")
+    aside.explain(folder, f"{len(paths)} folders of particles without a result were moved here.")
 
 
 def take_back(connection: sqlite3.Connection, state_dir: Path) -> int:
     """Move folders of particles that have a result again back from `aside`; return how many these were."""
     n_back = 0
-    for path in (state_dir / ASIDE).glob(f"*/{PARTICLES}/*"):
+    for path in (state_dir / aside.ASIDE).glob(f"*/{PARTICLES}/*"):
         row = connection.execute(
             "SELECT folder FROM files JOIN results USING (seq) WHERE id = ? AND removed IS NULL", (path.name,)
         ).fetchone()
@@ -215,35 +215,6 @@ def move_database(path: Path, folder: Path) -> None:
             source.rename(folder / name)
     sync(folder)
     sync(path.parent)
-
-
-def aside_folder(state_dir: Path, why: str) -> Path:
-    """Create and return a new folder for what is moved away."""
-    folder = state_dir / ASIDE / _aside_name(why)
-    folder.mkdir(parents=True)
-    return folder
-
-
-def _aside_name(why: str) -> str:
-    return f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}-{why}"
-
-
-def explain(folder: Path, note: str) -> None:
-    """Add to the note of what was moved away."""
-    log.error("store: %s folder=%s", note, folder)
-    with (folder / NOTE).open("a", encoding="utf-8") as file:
-        file.write(f"{note}\n")
-    sync(folder)
-
-
-def incidents(state_dir: Path) -> list[str]:
-    """Return the notes on all that was moved aside at a start and still lies there."""
-    found = []
-    for path in sorted((state_dir / ASIDE).glob(f"*/{NOTE}")):
-        with suppress(OSError):  # moved elsewhere just now
-            note = " ".join(path.read_text(encoding="utf-8").split())
-            found.append(f"{path.parent.relative_to(state_dir)}: {note}")
-    return found
 
 
 def acknowledge(state_dir: Path, instance_id: str, seq: int) -> None:

@@ -17,6 +17,7 @@ from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from drivers.files.durable import sync
 from pipeline.frames import GateCount, Trigger
+from service.base import aside
 from service.base.errors import StoreError
 from service.results.fields import LossReason
 from service.store import audit, backups, history, reads, writes
@@ -122,7 +123,7 @@ class Store:
     @property
     def incidents(self) -> list[str]:
         """Notes on what was moved aside at a start, because the database was damaged or had lost results."""
-        return history.incidents(self.dir)
+        return aside.incidents(self.dir)
 
     async def begin_session(self, info: Mapping[str, Any]) -> int:
         """Begin a session, a run of the daemon, and return its number; `info` (JSON) describes it.

@@ -12,6 +12,7 @@ from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
+from service.base import aside
 from service.store import history, schema
 
 CHUNK, PAUSE_S = 500, 0.05
@@ -32,7 +33,7 @@ def sweep(state_dir: Path, go_on: Callable[[], bool]) -> None:
         strays += unknown
         time.sleep(PAUSE_S)
     if strays:
-        history.move_particles(strays, history.aside_folder(state_dir, "strays"))
+        history.move_particles(strays, aside.new_folder(state_dir, "strays"))
     for day in sorted(state_dir.glob(f"{history.PARTICLES}/????-??-??"))[:-1]:  # but today's
         with suppress(OSError):  # it is not empty
             day.rmdir()

@@ -11,9 +11,9 @@ from support.calibration_desk import ARMED, CONFIGURED, MadeUpSolver, accepted, 
 
 import drivers.files.durable
 from drivers.files.rig_file import read_rig
+from service.base.aside import incidents
 from service.calibration.states import CalibrationAction, CalibrationConflictError
 from service.calibration.verifications import VerificationRequest, VerificationState
-from service.store.history import incidents
 
 
 def test_the_configured_rig_is_the_first_version_and_wins_when_it_is_changed(

@@ -22,6 +22,7 @@ from support.rest import particle_files
 from support.stores import folder_of
 from typer.testing import CliRunner
 
+from service.base import aside
 from service.base.errors import StoreError
 from service.base.status import trouble_check
 from service.commands.cli import build_app
@@ -294,7 +295,7 @@ async def backed_up(state_dir: Path, tmp_path: Path) -> tuple[Path, list[str]]:
         backup = await store.back_up(keep=4)
         await add_with_files(store, session, 3, tmp_path)
         names = [item["id"] for item in (await store.read(results_after, 0, 10)).items]
-    history.move_particles([folder_of(state_dir, names[0])], history.aside_folder(state_dir, "strays"))
+    history.move_particles([folder_of(state_dir, names[0])], aside.new_folder(state_dir, "strays"))
     return backup, names
 
 
