@@ -90,14 +90,6 @@ def imported(module: str) -> ModuleType:
     return import_module(module)
 
 
-def version_line() -> str:
-    """Return the versions of the package, of the REST interface and of the algorithm."""
-    from service.results.version import ALGORITHM_VERSION
-    from service.web.version import API_VERSION
-
-    return f"stonefall {metadata.version('stonefall')}, API {API_VERSION}, algorithm {ALGORITHM_VERSION}"
-
-
 def main() -> None:
     """Run the command line; a failure that is expected becomes one line on stderr."""
     # imported here: `stonefall --help` needs none of it
@@ -122,7 +114,11 @@ def main() -> None:
 
 def _print_version(is_wanted: bool) -> None:
     if is_wanted:
-        typer.echo(version_line())
+        from service.results.version import ALGORITHM_VERSION
+        from service.web.version import API_VERSION
+
+        package = metadata.version("stonefall")
+        typer.echo(f"stonefall {package}, API {API_VERSION}, algorithm {ALGORITHM_VERSION}")
         raise typer.Exit
 
 

@@ -62,7 +62,10 @@ def check_cameras(rig: AravisRigSettings, host: Host) -> Iterator[Finding]:
         wanted="all that [[rig.cameras]] names",
         remedy="see below; stonefall cameras lists those that answer",
     )
-    elsewhere = _everywhere() if len(found) < len(sought) else []
+    elsewhere: list[DiscoveredCamera] = []
+    if len(found) < len(sought):
+        with suppress(OSError):
+            elsewhere = discover()
     for camera, answer in zip(sought, answers, strict=True):
         if isinstance(answer, DeviceError):
             yield fault(
@@ -80,12 +83,6 @@ def _find(camera: GigeCameraSettings) -> DiscoveredCamera | DeviceError:
         return find_camera(camera)
     except DeviceError as err:
         return err
-
-
-def _everywhere() -> list[DiscoveredCamera]:
-    with suppress(OSError):
-        return discover()
-    return []
 
 
 def _elsewhere(camera: GigeCameraSettings, answering: Sequence[DiscoveredCamera], host: Host) -> str:

@@ -95,7 +95,10 @@ def command(options: InitOptions) -> None:
     if unknown := sorted(named.keys() - set(rig.camera_ids)):
         raise UsageError(f"{', '.join(unknown)}: no place of the rig, which has {', '.join(rig.camera_ids)}")
     if not named:
-        named = _placed(rig.camera_ids, _answering(interfaces), is_asked=is_asked)
+        found = discover(interfaces or None)
+        networks = ", ".join(interfaces or local_addresses())
+        typer.echo(f"{len(found)} cameras answer on the networks of {networks}")
+        named = _placed(rig.camera_ids, found, is_asked=is_asked)
     gate = options.gate or _found_gate(is_asked=is_asked)
     strobe_line, flash_us = options.strobe_line, options.flash_us
     if is_asked and strobe_line is None and flash_us is None:
@@ -160,12 +163,6 @@ def _from_csv(path: Path) -> dict[str, CameraPlace]:
             )
         named[place] = CameraPlace(id=CameraId(place), serial=serial, address=address, user_name=user_name)
     return named
-
-
-def _answering(interfaces: tuple[str, ...]) -> list[DiscoveredCamera]:
-    found = discover(interfaces or None)
-    typer.echo(f"{len(found)} cameras answer on the networks of {', '.join(interfaces or local_addresses())}")
-    return found
 
 
 def _placed(

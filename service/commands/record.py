@@ -109,7 +109,12 @@ async def _record(settings: Settings, out: Path, count: int | None) -> LiveRecor
     await asyncio.to_thread(devices.close)
     await recording.closed.wait()
     if trouble is not None:
-        raise ServiceError(trouble + _hint_at_daemon(settings.store.dir))
+        if is_locked(settings.store.dir):
+            trouble += (
+                "; the daemon of this configuration is running and controls the rig: record with POST"
+                " /api/v1/recordings"
+            )
+        raise ServiceError(trouble)
     return recording
 
 
@@ -133,10 +138,3 @@ async def _follow(
             held = f"held: {acquisition.trouble}" if acquisition.trouble else "recording"
             progress.update(bar, description=held, completed=recording.stones, found=found)
     return trouble
-
-
-def _hint_at_daemon(state_dir: Path) -> str:
-    """Return the remedy when the daemon of this configuration is running, which controls the rig; else empty."""
-    if not is_locked(state_dir):
-        return ""
-    return "; the daemon of this configuration is running and controls the rig: record with POST /api/v1/recordings"

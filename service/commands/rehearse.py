@@ -6,7 +6,7 @@ import sys
 import tempfile
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -87,11 +87,10 @@ def command(options: RehearseOptions) -> None:
         recording = rehearsed_recording(chosen.recording)
         is_looping = chosen.recording is not RehearsedRecording.BUMPED
         rig: Rig = (
-            SimulatedGigeRig(recording, options.speed, where)
+            running.enter_context(SimulatedGigeRig(recording, options.speed, where))
             if chosen.is_gige
             else ReplayedRig(recording, options.speed, is_looping=is_looping)
         )
-        running.enter_context(rig)
         settings = merged(merged(SETTINGS, rig.settings()), chosen.settings)
         daemon = RehearsedDaemon(where, settings, port, has_own_clock=chosen.has_own_clock)
         running.callback(daemon.stop)
@@ -100,7 +99,7 @@ def command(options: RehearseOptions) -> None:
         say(f"follow http://{HOST}:{port}/api/v1/results with your client")
         expected = Day(chosen, daemon, rig, say, options.language).play()
         say("the day is over; a correct client has seen:")
-        typer.echo(json.dumps(expected.document()) if options.as_json else as_text(expected))
+        typer.echo(json.dumps(asdict(expected)) if options.as_json else as_text(expected))
         sys.stdout.flush()
         say(f"the daemon ends in {options.linger_s:g} s")
         time.sleep(options.linger_s)

@@ -74,7 +74,13 @@ def command(
     if as_json:
         typer.echo(json.dumps(asdict(summary)))
     else:
-        _print(summary)
+        n_revised, n_same, gone = map(len, (summary.revised, summary.unchanged, summary.without_frames))
+        typer.echo(f"{n_revised} stones measured again, {n_same} were of this algorithm")
+        if gone:
+            more = f" and {gone - NAMED} more" if gone > NAMED else ""
+            typer.echo(f"{gone} have no frames any more: {', '.join(summary.without_frames[:NAMED])}{more}")
+        for name, why in summary.failed.items():
+            typer.echo(f"{name}: {why}", err=True)
     if summary.failed:
         raise typer.Exit(1)
 
@@ -83,18 +89,3 @@ def _stones(daemon: DaemonClient, wanted: dict[str, str], *, has_frames: bool) -
     """Return the stones that were looked at, newest first."""
     stones = daemon.pages("/particles", {**wanted, "has_frames": str(has_frames).lower(), "limit": PAGE})
     return (stone for stone in stones if stone["outcome"] != Outcome.LOST)
-
-
-def _print(summary: RemeasuredIds) -> None:
-    typer.echo(
-        f"{len(summary.revised)} stones measured again, {len(summary.unchanged)} were of this algorithm"
-    )
-    if summary.without_frames:
-        typer.echo(f"{len(summary.without_frames)} have no frames any more: {_named(summary.without_frames)}")
-    for name, why in summary.failed.items():
-        typer.echo(f"{name}: {why}", err=True)
-
-
-def _named(names: list[str]) -> str:
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(names[:NAMED]) + more

@@ -112,37 +112,29 @@ def measure_all(
     work.mkdir()
     with (out / RESULTS).open("w") as lines, Progress(console=Console(file=sys.stderr)) as progress:
         results = _ResultsFolder(out, lines)
-        processing_context = ProcessingContext(
-            session=0,
-            camera_ids=source.camera_ids,
-            is_simulated=source.is_simulated,
-            save_silhouettes=save_silhouettes,
-            folder=work,
-        )
+
+        async def run() -> None:
+            async with open_pool() as pool:
+                playback = _PlaybackSpool(source, IN_FLIGHT * pool.size)
+                bar = progress.add_task("measuring", total=playback.n_particles)
+                processing = Processing(
+                    ProcessingContext(
+                        session=0,
+                        camera_ids=source.camera_ids,
+                        is_simulated=source.is_simulated,
+                        save_silhouettes=save_silhouettes,
+                        folder=work,
+                    ),
+                    spool=playback,
+                    pool=pool,
+                    results=results,
+                    calibration=FixedCalibration(rig_file),
+                    observer=ProcessingObserver(
+                        on_progress=lambda: progress.update(bar, completed=len(results.records))
+                    ),
+                )
+                await processing.run()
+
         with one_error():
-            asyncio.run(_run(source, rig_file, open_pool, processing_context, results, progress))
+            asyncio.run(run())
     return results.records
-
-
-async def _run(
-    source: Recording,
-    rig_file: RigFile,
-    open_pool: OpenPool,
-    processing_context: ProcessingContext,
-    results: _ResultsFolder,
-    progress: Progress,
-) -> None:
-    async with open_pool() as pool:
-        playback = _PlaybackSpool(source, IN_FLIGHT * pool.size)
-        bar = progress.add_task("measuring", total=playback.n_particles)
-        processing = Processing(
-            processing_context,
-            spool=playback,
-            pool=pool,
-            results=results,
-            calibration=FixedCalibration(rig_file),
-            observer=ProcessingObserver(
-                on_progress=lambda: progress.update(bar, completed=len(results.records))
-            ),
-        )
-        await processing.run()

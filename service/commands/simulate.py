@@ -118,7 +118,17 @@ def command(options: SimulateOptions) -> None:
         with SimulatedRig(design, source) as rig:
             if options.start is BeltStart.AUTO:
                 rig.belt.start_when(lambda: rig.is_ready)
-            typer.echo(json.dumps(_document(design, rig)) if options.as_json else _text(design, rig))
+            cameras = [camera.design for camera in rig.cameras.values()]
+            addresses = {
+                "cameras": [
+                    {"id": each.id, "serial": each.serial, "address": each.address} for each in cameras
+                ],
+                "gate": str(design.gate_link),
+                "control": str(design.control),
+            }
+            lines = [f"{each.id}  {each.address:15}  {each.serial}" for each in cameras]
+            lines += [f"gate     {design.gate_link}", f"control  {design.control}"]
+            typer.echo(json.dumps(addresses) if options.as_json else "\n".join(lines))
             sys.stdout.flush()
             while not (stop.wait(POLL_S) or (options.once and rig.is_over)):
                 pass
@@ -158,22 +168,3 @@ def kept_recording(kind: str, made_of: Sequence[object], write: Callable[[Path],
             if not path.exists():  # otherwise another process was quicker
                 raise
     return path
-
-
-def _document(design: RigDesign, rig: SimulatedRig) -> dict[str, object]:
-    return {
-        "cameras": [
-            {"id": camera.design.id, "serial": camera.design.serial, "address": camera.design.address}
-            for camera in rig.cameras.values()
-        ],
-        "gate": str(design.gate_link),
-        "control": str(design.control),
-    }
-
-
-def _text(design: RigDesign, rig: SimulatedRig) -> str:
-    cameras = [
-        f"{camera.design.id}  {camera.design.address:15}  {camera.design.serial}"
-        for camera in rig.cameras.values()
-    ]
-    return "\n".join([*cameras, f"gate     {design.gate_link}", f"control  {design.control}"])

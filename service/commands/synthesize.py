@@ -233,18 +233,15 @@ def _body_source(name: str, size_mm: float | None) -> BodySource:
             return body, measure_shape(body.mesh.vertices, body.mesh.faces)
 
         return next_stone
-    body = _single_body(name)
+    kind, _, diameter = name.partition(":")
+    if name in STANDARDS:
+        body = STANDARDS[name]()
+    elif kind == "ball":
+        body = ball(_ball_diameter_mm(diameter, name))
+    else:
+        body = body_from_file(name, [*STANDARDS, STONES, *STONE_FORMS], MAX_RADIUS_MM)
     shape = measure_shape(body.mesh.vertices, body.mesh.faces)
     return lambda round_number, rng: (body, shape)
-
-
-def _single_body(name: str) -> Body:
-    if name in STANDARDS:
-        return STANDARDS[name]()
-    kind, _, diameter = name.partition(":")
-    if kind == "ball":
-        return ball(_ball_diameter_mm(diameter, name))
-    return body_from_file(name, [*STANDARDS, STONES, *STONE_FORMS], MAX_RADIUS_MM)
 
 
 def _ball_diameter_mm(diameter: str, name: str) -> float:

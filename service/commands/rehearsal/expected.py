@@ -3,7 +3,7 @@
 import hashlib
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,13 @@ class Results:
 
     results: int
     sha256: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Earlier(Results):
+    """Results of a history that ended, without those that came back."""
+
+    instance_id: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,19 +46,13 @@ class Expected:
     last_seq: int
     followed: Results  # of this history, by a client that followed all day
     kept: Results  # of this history, by one that begins now
-    earlier: tuple[
-        tuple[str, Results], ...
-    ]  # of histories that ended, without what came back: `instance_id`, results
+    earlier: tuple[Earlier, ...]
     gaps: tuple[Gap, ...]
     outcomes: dict[str, int]  # of what is kept; with the reason where there is one
     lots: tuple[dict[str, Any], ...]
     alarms: tuple[dict[str, Any], ...]  # in the order in which they were raised
     health: tuple[str, ...]  # words of NE 107, in the order in which they were seen
-
-    def document(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
-        earlier = [{"instance_id": instance_id, **asdict(results)} for instance_id, results in self.earlier]
-        return {**asdict(self), "earlier": earlier, "is_simulated": True}
+    is_simulated: bool = True
 
 
 @dataclass
@@ -59,9 +60,8 @@ class Observer:
     """Notes the results that clients can read at each `look`."""
 
     state_dir: Path
-    histories: dict[str, dict[int, str]] = field(
-        default_factory=dict
-    )  # ids by `seq`, by `instance_id`, in order
+    histories: dict[str, dict[int, str]] = field(default_factory=dict)
+    """By `instance_id`, in order: ids by `seq`."""
     gaps: list[Gap] = field(default_factory=list)
 
     def look(self) -> None:
@@ -78,11 +78,11 @@ class Observer:
         self.look()
         instance_id, first_seq, last_seq, rows = _read(self.state_dir)
         current = self.histories[instance_id]
-        earlier = []
-        for other, seen in self.histories.items():
-            lost = [id_ for _, id_ in sorted(seen.items()) if id_ not in current.values()]
-            if other != instance_id and lost:
-                earlier.append((other, _results(lost)))
+        lost = {
+            other: [id_ for _, id_ in sorted(seen.items()) if id_ not in current.values()]
+            for other, seen in self.histories.items()
+            if other != instance_id
+        }
         outcomes = Counter(
             outcome if reason is None else f"{outcome}, {reason}" for _, _, outcome, reason in rows
         )
@@ -91,9 +91,9 @@ class Observer:
             instance_id=instance_id,
             first_seq=first_seq,
             last_seq=last_seq,
-            followed=_results(id_ for _, id_ in sorted(current.items())),
-            kept=_results(id_ for _, id_, _, _ in rows),
-            earlier=tuple(earlier),
+            followed=Results(**_digest(id_ for _, id_ in sorted(current.items()))),
+            kept=Results(**_digest(id_ for _, id_, _, _ in rows)),
+            earlier=tuple(Earlier(instance_id=other, **_digest(ids)) for other, ids in lost.items() if ids),
             gaps=tuple(self.gaps),
             outcomes=dict(sorted(outcomes.items())),
             lots=tuple(lots),
@@ -108,9 +108,9 @@ def ends_of(state_dir: Path) -> tuple[int, int]:
     return first_seq, last_seq
 
 
-def _results(ids: Iterable[str]) -> Results:
+def _digest(ids: Iterable[str]) -> dict[str, Any]:
     listed = list(ids)
-    return Results(results=len(listed), sha256=hashlib.sha256("\n".join(listed).encode()).hexdigest())
+    return {"results": len(listed), "sha256": hashlib.sha256("\n".join(listed).encode()).hexdigest()}
 
 
 def _read(state_dir: Path) -> tuple[str, int, int, list[tuple[int, str, str, str | None]]]:
@@ -133,8 +133,7 @@ def as_text(expected: Expected) -> str:
         f"kept        {_line(expected.kept)}: what one gets that begins now",
     ]
     lines += [
-        f"earlier     {_line(results)} of {instance_id}, lost with it"
-        for instance_id, results in expected.earlier
+        f"earlier     {_line(results)} of {results.instance_id}, lost with it" for results in expected.earlier
     ]
     lines += [
         f"gap         results {gap.first_seq} to {gap.last_seq} of {gap.instance_id}" for gap in expected.gaps

@@ -1,13 +1,12 @@
 """The daemon of a rehearsal: a process that the script configures, kills, stops and starts."""
 
 import json
-import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from datetime import datetime, tzinfo
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
@@ -53,11 +52,8 @@ class RehearsedDaemon:
         self.settings = dict(settings)
         self.port = port
         self.state_dir = folder / "state"
-        self._config, self._log, self.clock = (
-            folder / "stonefall.toml",
-            folder / "daemon.log",
-            folder / "clock",
-        )
+        self.clock = folder / "clock"
+        self._config, self._log = folder / "stonefall.toml", folder / "daemon.log"
         self._has_own_clock = has_own_clock
         self._process: subprocess.Popen[bytes] | None = None
         self._asked_port = port
@@ -78,15 +74,11 @@ class RehearsedDaemon:
 
     def stop(self) -> None:
         """Stop it in an orderly way, if it runs."""
-        if self._process is None:
-            return
-        self._process.send_signal(signal.SIGTERM)
-        try:
-            self._process.wait(STOP_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._process = None
+        if self._process is not None:
+            self._process.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(STOP_S)
+            self.kill()
 
     def kill(self) -> None:
         """End it at once."""

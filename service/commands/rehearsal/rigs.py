@@ -3,7 +3,6 @@
 import os
 import time
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Protocol, Self
 
@@ -20,7 +19,7 @@ QUIET_S = 2.0
 """A stone that passed the gate so long ago has its images, or will have none."""
 
 
-class Rig(AbstractContextManager["Rig"], Protocol):
+class Rig(Protocol):
     """What falls through a rig, and what can be broken on it."""
 
     def settings(self) -> dict[str, Any]:
@@ -41,12 +40,6 @@ class ReplayedRig:
 
     def __init__(self, recording: Path, speed: float, *, is_looping: bool) -> None:
         self._recording, self._speed, self._is_looping = recording, speed, is_looping
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
     def settings(self) -> dict[str, Any]:
         recording = {"recording": str(self._recording), "loop": self._is_looping, "speed": self._speed}
