@@ -39,12 +39,7 @@ def looks_of(surfaces: str, gloss: float, interreflection: bool) -> Looks:
 def body_from_file(name: str, known: Iterable[str], max_radius_mm: float, limit: str = "") -> Body:
     """Read a body from a mesh file; `known` are the other bodies, and `limit` says why none is larger.
 
-    Raises
-    ------
-    typer.BadParameter
-        There is no such file.
-    UsageError
-        It is no closed mesh, or too large.
+    Raises `typer.BadParameter` if there is no such file, `UsageError` if it is no closed mesh, or too large.
     """
     path = Path(name)
     if not path.is_file():

@@ -223,19 +223,15 @@ def _show(details: Mapping[str, Any], as_json: bool = False) -> None:
 def _summary(report: Mapping[str, Any]) -> str:
     uncertainty = report["uncertainty"] or {}
     sd = uncertainty.get("length_sd_percent")
+    lens = ""
+    if lenses := report.get("lenses"):  # older reports have none
+        focus_mm = [found["value"] for found in lenses["focus_mm"].values()]
+        where = f" focused at {min(focus_mm):.1f} to {max(focus_mm):.1f} mm" if focus_mm else ""
+        lens = f", lenses F{lenses['f_number']['value']:.2f}{where}"
     return (
         f"  scale {report['scale']}, held out {_px(report['held_out_px'])} px,"
-        f" length {'unknown' if sd is None else f'+-{sd:.4f} %'}, {len(report['drops_used'])} drops used"
-        f"{_lens(report)}"
+        f" length {'unknown' if sd is None else f'+-{sd:.4f} %'}, {len(report['drops_used'])} drops used{lens}"
     )
-
-
-def _lens(report: Mapping[str, Any]) -> str:
-    if (lenses := report.get("lenses")) is None:  # older reports have none
-        return ""
-    focus_mm = [found["value"] for found in lenses["focus_mm"].values()]
-    where = f" focused at {min(focus_mm):.1f} to {max(focus_mm):.1f} mm" if focus_mm else ""
-    return f", lenses F{lenses['f_number']['value']:.2f}{where}"
 
 
 def _px(value: float | None) -> str:

@@ -117,10 +117,7 @@ def _by_bundle(results: Path) -> Stones:
 def revisions_of_lot(daemon: DaemonClient, lot: str, sides: tuple[str, str]) -> tuple[Stones, Stones]:
     """Return the records by id, of each stone the newest that is of a side: an algorithm version, or rN.
 
-    Raises
-    ------
-    UsageError
-        A side has no stone in the lot.
+    Raises `UsageError` if a side has no stone in the lot.
     """
     found: tuple[Stones, Stones] = ({}, {})
     wanted = [_is_of(side) for side in sides]

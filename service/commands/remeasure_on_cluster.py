@@ -104,12 +104,7 @@ async def remeasure_on_cluster(
 ) -> None:
     """Measure these stones on the cluster, and note the outcome of each.
 
-    Raises
-    ------
-    DaemonError, UsageError
-        As `OrderingDaemon.order` does.
-    UsageError, ClusterError
-        As `open_cluster` and `ClusterPool.run` do.
+    Raises as `OrderingDaemon.order`, `open_cluster` and `ClusterPool.run` do.
     """
     left = iter(names)
     for name in left:
@@ -122,47 +117,37 @@ async def remeasure_on_cluster(
     else:
         return
     async with open_cluster(executor, context) as pool, asyncio.TaskGroup() as tasks:
-        stones = _Stones(daemon, pool, summary, on_progress)
         names_left = chain([name], left)
+
+        async def remeasure_all() -> None:
+            for name in names_left:  # that no other task has taken
+                with noted_refusal(name, summary):
+                    await _remeasure(name, daemon, pool, summary)
+                on_progress()
+
         for _ in range(min(IN_FLIGHT * pool.size, MAX_OPEN // 2)):  # there may be another command
-            tasks.create_task(stones.remeasure_all(names_left))
+            tasks.create_task(remeasure_all())
 
 
-@dataclass(frozen=True, slots=True)
-class _Stones:
-    """What each task that remeasures stones needs."""
-
-    daemon: OrderingDaemon
-    pool: JobPool
-    summary: RemeasuredIds
-    on_progress: Callable[[], object]
-
-    async def remeasure_all(self, names: Iterator[str]) -> None:
-        """Remeasure stones, one after the other, as long as there are some that no other task has taken."""
-        for name in names:
-            with noted_refusal(name, self.summary):
-                await self._remeasure(name)
-            self.on_progress()
-
-    async def _remeasure(self, name: str) -> None:
-        for attempt in range(1, TRIES + 1):
-            if (ordered := await self.daemon.order(name)) is None:
-                self.summary.unchanged.append(name)
-                return
-            order_name, order = ordered
-            try:
-                measured = await self.pool.run(measure, order.job)
-                await asyncio.to_thread(write_record, order, measured.record)
-            except FileNotFoundError as err:
-                if attempt == TRIES:
-                    self.summary.failed[name] = str(err)
-            except RecordingError as err:
-                self.summary.failed[name] = err.problem
-                return
-            except JobLostError as err:
-                self.summary.failed[name] = str(err)
-                return
-            else:
-                is_new = await self.daemon.deliver(name, order_name)
-                (self.summary.revised if is_new else self.summary.unchanged).append(name)
-                return
+async def _remeasure(name: str, daemon: OrderingDaemon, pool: JobPool, summary: RemeasuredIds) -> None:
+    for attempt in range(1, TRIES + 1):
+        if (ordered := await daemon.order(name)) is None:
+            summary.unchanged.append(name)
+            return
+        order_name, order = ordered
+        try:
+            measured = await pool.run(measure, order.job)
+            await asyncio.to_thread(write_record, order, measured.record)
+        except FileNotFoundError as err:
+            if attempt == TRIES:
+                summary.failed[name] = str(err)
+        except RecordingError as err:
+            summary.failed[name] = err.problem
+            return
+        except JobLostError as err:
+            summary.failed[name] = str(err)
+            return
+        else:
+            is_new = await daemon.deliver(name, order_name)
+            (summary.revised if is_new else summary.unchanged).append(name)
+            return

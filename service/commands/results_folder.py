@@ -82,13 +82,7 @@ class _ResultsFolder:
 
 
 def read_results(results: Path) -> list[dict[str, Any]]:
-    """Return the records in a folder of results, or in a file `results.jsonl`.
-
-    Raises
-    ------
-    ServiceError
-        It cannot be read; names the file and the line.
-    """
+    """Return the records in a folder or file of results; raise `ServiceError` with the line that cannot be read."""
     path = results / RESULTS if results.is_dir() else results
     try:
         lines = path.read_text(encoding="utf-8").splitlines()

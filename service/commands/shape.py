@@ -55,13 +55,7 @@ def command(
 
 
 def read_mesh(path: Path) -> trimesh.Trimesh:
-    """Read a mesh, and merge its equal vertices.
-
-    Raises
-    ------
-    UsageError
-        The file is not a readable mesh.
-    """
+    """Read a mesh, and merge its equal vertices; raise `UsageError` for what is no readable mesh."""
     if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"must be one of {', '.join(SUFFIXES)}")
     try:

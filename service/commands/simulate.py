@@ -147,13 +147,7 @@ def _rendered_recording(bodies: str, count: int, seed: int) -> Path:
 
 
 def kept_recording(kind: str, made_of: Sequence[object], write: Callable[[Path], None]) -> Path:
-    """Return a recording, written the first time and kept in the folder for temporary files.
-
-    Raises
-    ------
-    UsageError
-        Others may write in that folder.
-    """
+    """Return a recording, written the first time and kept in a folder for temporary files that is this user's alone."""
     wanted = json.dumps([*made_of, ALGORITHM_VERSION])
     folder = Path(tempfile.gettempdir(), f"stonefall-{os.getuid()}")
     folder.mkdir(mode=0o700, exist_ok=True)

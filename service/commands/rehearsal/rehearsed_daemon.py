@@ -88,13 +88,7 @@ class RehearsedDaemon:
             self._process = None
 
     def ask(self, method: str, path: str, body: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return the answer to a request.
-
-        Raises
-        ------
-        RehearsalError
-            It refuses, or does not answer.
-        """
+        """Return the answer to a request; raise `RehearsalError` if it refuses, or does not answer."""
         with closing(HTTPConnection(HOST, self._asked_port, timeout=60)) as connection:
             headers = {"Content-Type": "application/json"} if body is not None else {}
             content = None if body is None else json.dumps(body)
@@ -116,13 +110,7 @@ class RehearsedDaemon:
             return None
 
     def wait_for(self, path: str, is_enough: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """Return the answer once it is enough.
-
-        Raises
-        ------
-        RehearsalError
-            The daemon has ended, or it took too long.
-        """
+        """Poll until `is_enough(answer)`; raise `RehearsalError` if the daemon has ended, or it takes too long."""
         deadline_s = time.monotonic() + PATIENCE_S
         while (found := self.find(path)) is None or not is_enough(found):
             if self._process is None or self._process.poll() is not None:

@@ -9,7 +9,7 @@ from typing import Any, Protocol, Self
 from drivers.files.recording import open_recording
 from drivers.gige_simulator.rig import RigDesign, SimulatedRig
 from drivers.gige_simulator.rig_requests import RigRequests
-from service.base.status import AcquisitionState
+from service.base.status import AcquisitionState, AcquisitionTarget, CheckStatus
 from service.commands.rehearsal.rehearsed_daemon import RehearsalError, RehearsedDaemon
 
 RECORDED_HZ = 4.0
@@ -46,12 +46,12 @@ class ReplayedRig:
         return {"rig": {"backend": "replay", **recording}}
 
     def flow(self, daemon: RehearsedDaemon) -> None:
-        daemon.ask("PUT", "/acquisition", {"state": "armed"})
+        daemon.ask("PUT", "/acquisition", {"state": AcquisitionTarget.ARMED})
 
     def rest(self, daemon: RehearsedDaemon) -> None:
         daemon.wait_for("/acquisition", lambda now: now["state"] in SETTLED)
-        daemon.ask("PUT", "/acquisition", {"state": "disarmed"})
-        daemon.wait_for("/acquisition", lambda now: now["state"] == "disarmed")
+        daemon.ask("PUT", "/acquisition", {"state": AcquisitionTarget.DISARMED})
+        daemon.wait_for("/acquisition", lambda now: now["state"] == AcquisitionState.DISARMED)
 
     def fault(self, request: Mapping[str, Any]) -> None:
         raise RehearsalError(
@@ -98,7 +98,9 @@ class SimulatedGigeRig:
 
     def flow(self, daemon: RehearsedDaemon) -> None:
         daemon.wait_for("/acquisition", lambda now: now["cameras_armed"] == len(self._rig.cameras))
-        daemon.wait_for("/health", lambda health: health["checks"]["background"]["status"] == "pass")
+        daemon.wait_for(
+            "/health", lambda health: health["checks"]["background"]["status"] == CheckStatus.PASS
+        )
         self._rig.belt.start()
 
     def rest(self, daemon: RehearsedDaemon) -> None:
