@@ -3,14 +3,7 @@
 from collections.abc import Sequence
 
 from drivers.interfaces import CameraProcessStatus, ProcessState
-from service.base.status import (
-    AcquisitionStatus,
-    CameraStatus,
-    Checks,
-    CheckStatus,
-    DeviceState,
-    HealthCheck,
-)
+from service.base.status import AcquisitionStatus, CameraStatus, Checks, CheckStatus, DeviceState, HealthCheck
 
 BLIND_TRIGGERS = 3
 """Triggers in a row without any image from which the line between gate and cameras is taken to be broken."""
