@@ -11,8 +11,7 @@ delivered: a belt that falls behind slows time instead of losing frames.
 import heapq
 import threading
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from statistics import median_low
@@ -22,7 +21,7 @@ from drivers.errors import RecordingError
 from drivers.files.recording import BundleHeader, Recording, playback_order, read_bundle, unreadable_triggers
 from drivers.interfaces import DeviceEvent, EventSink, FrameLossReason, FrameLost, PlaybackEnded
 from drivers.outlet import Outlet
-from pipeline.frames import CameraId, Frame, Trigger
+from pipeline.frames import CameraId, FrameBundle, Trigger
 
 Pace = Literal["recorded", "stepped", "fast"]
 """`recorded`: in real time, times `speed`. `stepped` and `fast`: without waiting, one bundle for each permit."""
@@ -33,16 +32,6 @@ MAX_SPACING_NS = 60_000_000_000
 """Longer pauses are shortened to this: between two recordings that were put together lie days."""
 FRAME_DELAY_NS = 259_400_000
 """From a trigger to its frames where the recording does not say."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Playable:
-    """A bundle in memory, with the times of the recording."""
-
-    trigger: Trigger
-    frames: tuple[Frame, ...]
-    lost: Mapping[CameraId, str] = field(default_factory=dict)
-    unreadable: str | None = None  # what is wrong with its file
 
 
 class _Due(NamedTuple):
@@ -91,7 +80,7 @@ class ReplayBelt:
         self._is_stopping = False
         self._has_told_end = False
         self._permits = 0
-        self._next: _Playable | None = None
+        self._next: FrameBundle | None = None
         self._last: tuple[int, int] | None = None  # last trigger's time: recorded, played
         self._due: list[_Due] = []
         self._order = count()
@@ -206,7 +195,7 @@ class ReplayBelt:
         played_ns, real_ns, _ = self._clock
         self._clock = (played_ns, real_ns, at_ns)
 
-    def _schedule(self, bundle: _Playable, start_ns: int) -> None:
+    def _schedule(self, bundle: FrameBundle, start_ns: int) -> None:
         """Schedule all events of a bundle, shifted in time by the same amount."""
         trigger = bundle.trigger
         self._last = (trigger.received_ns, start_ns)
@@ -218,7 +207,7 @@ class ReplayBelt:
         put(
             self.gate, replace(trigger, received_ns=start_ns, device_ns=_shifted(trigger.device_ns, shift_ns))
         )
-        for frame in bundle.frames:
+        for frame in bundle.frames.values():
             put(
                 self.cameras[frame.camera],
                 replace(
@@ -227,7 +216,7 @@ class ReplayBelt:
                     device_ns=_shifted(frame.device_ns, shift_ns),
                 ),
             )
-        for camera, reason in bundle.lost.items():
+        for camera, reason in bundle.missing.items():
             lost = FrameLost(
                 camera=camera,
                 received_ns=start_ns + self._delay_ns,
@@ -236,7 +225,7 @@ class ReplayBelt:
             )
             put(self.cameras[camera], lost)
 
-    def _load_next(self) -> _Playable | None:
+    def _load_next(self) -> FrameBundle | None:
         """Read the next bundle, numbered on from the last round; None at the end.
 
         Unreadable bundles come at the end of the first round, and in no other.
@@ -255,7 +244,7 @@ class ReplayBelt:
             return self._without_frames(trigger, error)
         return self._renumbered(self._read(self._headers[index]), self._headers[index], played_round)
 
-    def _read(self, header: BundleHeader) -> _Playable:
+    def _read(self, header: BundleHeader) -> FrameBundle:
         try:
             # checksums are verified in the first round only: that takes a pass over all pixels
             is_unverified = header.path not in self._verified
@@ -264,13 +253,13 @@ class ReplayBelt:
             return self._without_frames(header.trigger, err)
         if FrameLossReason.DAMAGED not in bundle.missing.values():
             self._verified.add(header.path)
-        return _Playable(trigger=bundle.trigger, frames=tuple(bundle.frames.values()), lost=bundle.missing)
+        return bundle
 
-    def _without_frames(self, trigger: Trigger, error: RecordingError) -> _Playable:
+    def _without_frames(self, trigger: Trigger, error: RecordingError) -> FrameBundle:
         lost = dict.fromkeys(self.recording.camera_ids, FrameLossReason.UNREADABLE)
-        return _Playable(trigger=trigger, frames=(), lost=lost, unreadable=error.problem)
+        return FrameBundle(trigger=trigger, frames={}, missing=lost, unreadable=error.problem)
 
-    def _renumbered(self, bundle: _Playable, header: BundleHeader, played_round: int) -> _Playable:
+    def _renumbered(self, bundle: FrameBundle, header: BundleHeader, played_round: int) -> FrameBundle:
         name = header.name
         if played_round == 0:
             return replace(bundle, trigger=replace(bundle.trigger, name=name))
@@ -280,10 +269,10 @@ class ReplayBelt:
             name=f"{name}-r{played_round + 1}",
             sequence=bundle.trigger.sequence + played_round * n_sequences,
         )
-        frames = tuple(
-            replace(frame, frame_id=frame.frame_id + played_round * self._n_frame_ids(frame.camera))
-            for frame in bundle.frames
-        )
+        frames = {
+            camera: replace(frame, frame_id=frame.frame_id + played_round * self._n_frame_ids(camera))
+            for camera, frame in bundle.frames.items()
+        }
         return replace(bundle, trigger=trigger, frames=frames)
 
     def _n_frame_ids(self, camera: CameraId) -> int:

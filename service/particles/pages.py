@@ -31,7 +31,7 @@ def result_stream(
     """Return the same results as server-sent events."""
     page = results_after(connection, after, limit)
     items = (served(record, names) for record in page.items)
-    return stream_of(page, after, (server_sent("result", item, item["seq"]) for item in items))
+    return stream_of(page, after, instance_id, (server_sent("result", item, item["seq"]) for item in items))
 
 
 def particles_page(

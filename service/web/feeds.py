@@ -6,14 +6,11 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
-from typing import Any
-
-from pydantic import BaseModel, Field
 
 from service.store import Store, read
+from service.store.events import CursorError
 from service.web.context import ApiContext
-from service.web.pages import FeedPage, event_page, event_stream
-from service.web.problems import Problem
+from service.web.pages import CursorPage, FeedPage, event_page, event_stream
 
 MAX_SEQ = 10**15
 """Beyond any feed, within what a JSON number and SQLite hold exactly."""
@@ -24,15 +21,6 @@ KEEP_S = 1.0
 
 PageQuery = Callable[..., FeedPage]
 """Takes a connection, the id of the history, `after`, `limit`, and the feed's `more`."""
-
-
-class CursorPage(BaseModel):
-    """One page of a feed. Ask again with `after = next_after`; each item is delivered at least once."""
-
-    instance_id: str = Field(description="Identity of the history; when it changes, start again from 0")
-    first_seq: int = Field(description="`seq` of the oldest item kept; `last_seq + 1` when there is none")
-    last_seq: int = Field(description="`seq` of the newest item; 0 before the first")
-    next_after: int = Field(description="The cursor: pass it as `after` of the next request")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +62,7 @@ async def page_after(context: ApiContext, feed: Feed, after: int, limit: int, wa
                 partial(read_page, feed.query, store.instance_id, *wanted),
                 keep_s=KEEP_S if is_full or not is_big else 0,
             )
-            if wait_s == 0 or after != page.last_seq:
+            if wait_s == 0 or after != page.cursor.last_seq:
                 return page
         with suppress(TimeoutError):
             async with asyncio.timeout(wait_s):
@@ -83,13 +71,11 @@ async def page_after(context: ApiContext, feed: Feed, after: int, limit: int, wa
         wait_s = 0
 
 
-def cursor_problem(page: FeedPage, after: int, kind: str) -> Problem | None:
-    """Return the problem of a cursor that lies beyond the feed's end or before its first item; None without one."""
-    ends: dict[str, Any] = {"first_seq": page.first_seq, "last_seq": page.last_seq}
-    if after > page.last_seq:
-        detail = f"the newest {kind} is {page.last_seq}, not {after}"
-        return Problem(409, "cursor-ahead", detail, **ends)
-    if after < page.first_seq - 1:
-        gap = f"{kind}s {after + 1} to {page.first_seq - 1} were removed"
-        return Problem(410, "cursor-expired", f"{gap}: go on with after={page.first_seq - 1}", **ends)
-    return None
+def require_within(page: CursorPage, after: int, kind: str) -> None:
+    """Raise `CursorError` for a cursor that lies beyond the feed's end or before its first item."""
+    first_seq, last_seq = page.first_seq, page.last_seq
+    if after > last_seq:
+        raise CursorError(f"the newest {kind} is {last_seq}, not {after}", after, first_seq, last_seq)
+    if after < first_seq - 1:
+        removed = f"{kind}s {after + 1} to {first_seq - 1} were removed: go on with after={first_seq - 1}"
+        raise CursorError(removed, after, first_seq, last_seq)

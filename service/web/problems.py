@@ -43,11 +43,9 @@ PROBLEMS: Mapping[int, Mapping[str, str]] = {
     },
     HTTPStatus.NOT_ACCEPTABLE: {"not-acceptable": "No acceptable media type"},
     HTTPStatus.CONFLICT: {
-        "cursor-ahead": "The cursor is ahead of the history",
         "request-in-progress": "The first request with this key is still being carried out",
     },
     HTTPStatus.GONE: {
-        "cursor-expired": "The cursor is older than the oldest result kept",
         "files-removed": "The files of this result were removed",
     },
     HTTPStatus.PRECONDITION_FAILED: {"precondition-failed": "It is not the version that If-Match names"},
@@ -170,7 +168,7 @@ def install_handlers(app: FastAPI) -> None:
     """Install handlers that answer every exception of a route as a problem."""
     app.add_exception_handler(HTTPException, _handle_http)
     app.add_exception_handler(RequestValidationError, _handle_validation)
-    app.add_exception_handler(ProblemError, _handle_refused)
+    app.add_exception_handler(ProblemError, _handle_problem_error)
     app.add_exception_handler(StoreError, _handle_store)
     app.add_exception_handler(OSError, _handle_store)  # a disk that is full or read-only
     app.add_exception_handler(Exception, _handle_bug)
@@ -238,10 +236,10 @@ def _field(location: Sequence[str | int]) -> Sequence[str | int]:
     return location if location[0] == "body" else location[:2]
 
 
-async def _handle_refused(request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, ProblemError)  # noqa: S101 - as above
+def problem_of(error: ProblemError) -> Problem:
+    """Return the problem that an error declares itself to be."""
     kind = next(each for each in error.kinds if each.name == error.kind)
-    problem = Problem(
+    return Problem(
         kind.status,
         kind.name,
         str(error),
@@ -249,7 +247,11 @@ async def _handle_refused(request: Request, error: Exception) -> JSONResponse:
         title=kind.title,
         **error.members,
     )
-    return problem_response(request, problem)
+
+
+async def _handle_problem_error(request: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, ProblemError)  # noqa: S101 - as above
+    return problem_response(request, problem_of(error))
 
 
 async def _handle_store(request: Request, error: Exception) -> JSONResponse:

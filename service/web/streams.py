@@ -13,11 +13,11 @@ from fastapi import Request
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from service.base.errors import StoreError
+from service.base.errors import ProblemError, StoreError
 from service.web.context import ApiContext
-from service.web.feeds import Feed, cursor_problem, page_after
-from service.web.pages import FeedPage, server_sent
-from service.web.problems import Problem, failure_of, problem_document, store_unavailable
+from service.web.feeds import Feed, page_after, require_within
+from service.web.pages import CursorPage, FeedPage, server_sent
+from service.web.problems import Problem, failure_of, problem_document, problem_of, store_unavailable
 from service.web.reader_process import BusyError
 from service.web.request_ids import request_id_of
 
@@ -65,13 +65,12 @@ async def open_stream(
 
     Raises
     ------
-    Problem
+    CursorError, Problem
         The feed does not have what follows `after`, or too many streams are open.
     """
     context.streams.require_room(request)
     page = await page_after(context, feed, after, 1)
-    if (problem := cursor_problem(page, after, feed.kind)) is not None:
-        raise problem
+    require_within(page.cursor, after, feed.kind)
     return OpenStream(context, _chunks(context, feed, after, allow), request)
 
 
@@ -86,11 +85,10 @@ async def _chunks(
         page = await _patient_page(context, feed, after)
         if not is_begun:
             is_begun = True
-            yield _history(store.instance_id, page)
-        if (problem := cursor_problem(page, after, feed.kind)) is not None:
-            raise problem
-        if page.next_after != after:
-            after = page.next_after
+            yield _history(page.cursor)
+        require_within(page.cursor, after, feed.kind)
+        if page.cursor.next_after != after:
+            after = page.cursor.next_after
             yield page.content
             continue
         if store.is_released:
@@ -110,8 +108,8 @@ async def _with_problems(
         async with aclosing(chunks):
             async for chunk in chunks:
                 yield chunk
-    except Problem as problem:
-        yield _sent_problem(problem, request)
+    except (Problem, ProblemError) as err:
+        yield _sent_problem(err if isinstance(err, Problem) else problem_of(err), request)
     except StoreError as err:
         log.error("%s: %s", failure_of(request), err)
         yield _sent_problem(store_unavailable(), request)
@@ -131,7 +129,7 @@ async def _patient_page(context: ApiContext, feed: Feed, after: int) -> FeedPage
             await asyncio.sleep(BUSY_PAUSE_S)
 
 
-def _history(instance_id: str, page: FeedPage) -> bytes:
+def _history(cursor: CursorPage) -> bytes:
     """Return the first event of a stream: the id of the history, and its first and last number."""
-    data = {"instance_id": instance_id, "first_seq": page.first_seq, "last_seq": page.last_seq}
+    data = cursor.model_dump(exclude={"next_after"})
     return server_sent("history", data)

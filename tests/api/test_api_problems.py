@@ -31,7 +31,7 @@ def test_each_kind_has_a_title_and_stands_in_the_guide() -> None:
     assert [(status, kind) for status, kind in raised if kind not in described[HTTPStatus(int(status))]] == []
     kinds = {kind for _, kind in raised}
     kinds |= {f"unknown-{kind}" for kind in re.findall(r'existing\([^"]+"([a-z]+)", ', sources)}
-    assert {"cursor-ahead", "unknown-lot", "unknown-sample"} <= kinds <= titles
+    assert {"not-ready", "unknown-lot", "unknown-sample"} <= kinds <= titles
     guide = (ROOT / "service" / "web" / "README.md").read_text(encoding="utf-8")
     unknown = {kind for kind in titles if f"`{kind}`" not in guide}
     assert {kind for kind in unknown if f"`{kind.removeprefix('unknown')}`" not in guide} == set()

@@ -84,10 +84,10 @@ async def test_streams_far_behind_share_full_pages_although_stones_fall(
     assert (await page_after(context, RESULT_STREAM, 0, MAX_SMALL + 1)).content == first.content
     assert beside.n_runs == 1
     # not full, and what says how far the feed goes: made anew
-    assert (await page_after(context, RESULT_STREAM, 0, 100)).next_after == MAX_SMALL + 3
-    assert (await page_after(context, RESULTS, 0, 1)).last_seq == MAX_SMALL + 3
+    assert (await page_after(context, RESULT_STREAM, 0, 100)).cursor.next_after == MAX_SMALL + 3
+    assert (await page_after(context, RESULTS, 0, 1)).cursor.last_seq == MAX_SMALL + 3
     await add(store, session, MAX_SMALL + 4, rejected("empty"))
-    assert (await page_after(context, RESULTS, 0, 1)).last_seq == MAX_SMALL + 4
+    assert (await page_after(context, RESULTS, 0, 1)).cursor.last_seq == MAX_SMALL + 4
 
 
 async def test_the_process_answers_what_a_thread_answers(

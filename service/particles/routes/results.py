@@ -14,8 +14,9 @@ from service.results.selection import UnknownFieldsError, chosen_fields
 from service.store.reads import seq_before
 from service.web.auth import READABLE
 from service.web.context import Context
-from service.web.feeds import MAX_SEQ, CursorPage, cursor_problem, page_after
+from service.web.feeds import MAX_SEQ, page_after, require_within
 from service.web.gzipped import TakesGzip
+from service.web.pages import CursorPage
 from service.web.problems import Problem, problem_responses
 
 router = APIRouter(prefix="/results", tags=["results"], dependencies=READABLE)
@@ -84,6 +85,5 @@ async def results(
             raise Problem(422, "invalid-request", f"query.since: {message}", errors=errors)
         after = await context.store.read(seq_before, since)
     page = await page_after(context, choosing(RESULTS, names, as_gzip), after, limit, wait_s)
-    if (problem := cursor_problem(page, after, RESULTS.kind)) is not None:
-        raise problem
+    require_within(page.cursor, after, RESULTS.kind)
     return Response(page.content, media_type="application/json")

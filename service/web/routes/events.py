@@ -11,7 +11,8 @@ from service.base.schema import adds_to
 from service.store.events import NewEvent
 from service.web.auth import READABLE
 from service.web.context import Context
-from service.web.feeds import EVENTS, MAX_SEQ, CursorPage, cursor_problem, page_after
+from service.web.feeds import EVENTS, MAX_SEQ, page_after, require_within
+from service.web.pages import CursorPage
 from service.web.problems import problem_responses
 
 router = APIRouter(prefix="/events", tags=["events"], dependencies=READABLE)
@@ -49,6 +50,5 @@ async def events(
     410 `cursor-expired` and 409 `cursor-ahead` as of `/results`.
     """
     page = await page_after(context, EVENTS, after, limit, wait_s)
-    if (problem := cursor_problem(page, after, EVENTS.kind)) is not None:
-        raise problem
+    require_within(page.cursor, after, EVENTS.kind)
     return Response(page.content, media_type="application/json")
