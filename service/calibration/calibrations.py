@@ -8,7 +8,7 @@ counts as a ball and not as a stone.
 import asyncio
 import logging
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -43,7 +43,7 @@ from service.calibration.states import (
 )
 from service.calibration.verifications import Verification, VerificationRequest, Verifications
 from service.processing.measure_job import RigFile
-from service.results.fields import Verified
+from service.results.fields import Result, Verified
 
 log = logging.getLogger(__name__)
 
@@ -96,7 +96,7 @@ class Calibrations:
         if current is None:
             return self.verifications.collector
 
-        async def add(drop: ObservedDrop, record: Mapping[str, Any], outlines: Path | None) -> None:
+        async def add(drop: ObservedDrop, record: Result, outlines: Path | None) -> None:
             await self._add_drop(current.id, drop, outlines)
 
         kind = BundleKind.PARTICLE if current.method == Method.STONES else BundleKind.BALL

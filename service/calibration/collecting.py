@@ -1,9 +1,8 @@
 """From a measured bundle to a drop of the open calibration or verification."""
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from drivers.errors import RecordingError
 from pipeline.frames import BundleKind
@@ -12,6 +11,7 @@ from service.calibration.drop_jobs import ObserveJob, observe
 from service.processing.measure_job import MeasureJob
 from service.processing.processing import KeepDrop
 from service.processing.worker_pool import JobLostError, JobPool
+from service.results.fields import Result
 
 OUTLINES = "outlines.npz"
 """File of a drop's outlines, in the folder of the job that measured it."""
@@ -24,7 +24,7 @@ class DropCollector:
     kind: BundleKind
     diameters_mm: tuple[float, ...]
     """Diameters of the balls that may fall; empty for stones."""
-    add: Callable[[ObservedDrop, Mapping[str, Any], Path | None], Awaitable[None]]
+    add: Callable[[ObservedDrop, Result, Path | None], Awaitable[None]]
     """Called with a drop, its result record, and the file of its outlines, None when nothing was observed."""
 
     async def observe(self, pool: JobPool, job: MeasureJob) -> KeepDrop:
@@ -50,10 +50,10 @@ class DropCollector:
         except JobLostError as err:
             problem = str(err)
 
-        async def keep(record: Mapping[str, Any]) -> None:
+        async def keep(record: Result) -> None:
             if problem is None:
                 await self.add(drop, record, outlines)
             else:
-                await self.add(ObservedDrop(bundle=record["bundle"], problem=problem), record, None)
+                await self.add(ObservedDrop(bundle=record.bundle, problem=problem), record, None)
 
         return keep

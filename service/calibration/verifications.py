@@ -6,12 +6,12 @@
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, TypeAdapter, computed_field
 
@@ -31,7 +31,7 @@ from service.calibration.verification_limits import (
     size_refusal,
     summarize,
 )
-from service.results.fields import Verified
+from service.results.fields import Result, Verified
 
 log = logging.getLogger(__name__)
 
@@ -171,7 +171,7 @@ class Verifications:
         if current is None:
             return None
 
-        async def add(drop: ObservedDrop, record: Mapping[str, Any], outlines: Path | None) -> None:
+        async def add(drop: ObservedDrop, record: Result, outlines: Path | None) -> None:
             await self._add(current.id, drop, record)
 
         return DropCollector(kind=BundleKind.BALL, diameters_mm=(current.diameter_mm,), add=add)
@@ -276,12 +276,12 @@ class Verifications:
                 current.id, f"no ball of {current.diameter_mm:g} mm fell for {IDLE_S / 60:.0f} minutes"
             )
 
-    async def _add(self, name: str, drop: ObservedDrop, record: Mapping[str, Any]) -> None:
+    async def _add(self, name: str, drop: ObservedDrop, record: Result) -> None:
         verification = self._known[name]
-        measured_with_it = record["calibration_id"] == verification.calibration_id
+        measured_with_it = record.calibration_id == verification.calibration_id
         if verification.state is not VerificationState.COLLECTING or not measured_with_it:
             return
-        diameter_mm, detail = record["equivalent_diameter_mm"], record["detail"]
+        diameter_mm, detail = record.equivalent_diameter_mm, record.detail
         if diameter_mm is not None and (refusal := size_refusal(diameter_mm, verification.diameter_mm)):
             log.warning("verification: %s verification=%s bundle=%s", refusal, name, drop.bundle)
             diameter_mm, detail = None, refusal

@@ -20,7 +20,8 @@ from service.processing.measure_job import MESH, SILHOUETTES, RigFile
 from service.processing.processing import FixedCalibration, Processing, ProcessingContext, ProcessingObserver
 from service.processing.spool import Loss, SpooledBundle
 from service.processing.worker_pool import JobPool
-from service.results.fields import LossReason, completed
+from service.results.fields import LossReason, Result, completed
+from service.results.record import document_of
 
 RESULTS = "results.jsonl"
 MESHES, LABELS = FOLDERS = ("meshes", "silhouettes")
@@ -64,10 +65,10 @@ class _ResultsFolder:
         self.records: list[dict[str, Any]] = []
 
     async def finish(
-        self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
+        self, session: int, bundle: str, record: Result, files: Mapping[str, Path] | None = None
     ) -> int:
         """Write a record, and move its mesh and silhouettes to the output folder."""
-        kept = dict(record)
+        kept = document_of(record)
         if mesh := (files or {}).get(MESH):
             kept["mesh"] = f"{MESHES}/{bundle}.ply"
             mesh.replace(self._out / kept["mesh"])

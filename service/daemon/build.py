@@ -4,9 +4,7 @@ import asyncio
 import logging
 import time
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
 
 from prometheus_client import Histogram
 
@@ -43,6 +41,7 @@ from service.processing.worker_pool import WorkerPool
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring, new_pool
+from service.results.fields import Result
 from service.store import Store
 from service.store.events import EventType, NewEvent
 from service.store.reads import gate_count
@@ -216,7 +215,7 @@ def _build_processing(
 ) -> Processing:
     settings, belt = session.settings, session.devices.belt
 
-    def on_result(record: Mapping[str, Any]) -> None:
+    def on_result(record: Result) -> None:
         for watch in (watches.rig, watches.optics, watches.refinement):
             watch.feed(record)
 

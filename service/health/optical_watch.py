@@ -19,6 +19,7 @@ from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.base.status import CameraOptics, Checks, HealthCheck, trouble_check
 from service.health.dark_panels import DarkPlace, ViewLight, dark_places
+from service.results.fields import Result
 
 WINDOW = 20
 """Latest exposures over which medians are taken."""
@@ -151,9 +152,9 @@ class OpticalWatch:
     def checks(self) -> Checks:
         return {"optics": optics_check(self.findings(), len(self._cameras))}
 
-    def feed(self, record: Mapping[str, Any]) -> None:
+    def feed(self, record: Result) -> None:
         """Take one result into account."""
-        self.feed_optics(record.get("optics", {}))
+        self.feed_optics({name: seen.model_dump() for name, seen in record.optics.items()})
 
     def feed_optics(self, optics: Mapping[str, Mapping[str, Any]]) -> None:
         """Take the optics of one exposure into account, as `service.results.record.optics_record` writes them."""

@@ -6,13 +6,11 @@ says so; here is the trend.
 """
 
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass
 from statistics import median
-from typing import Any
 
-from pipeline.frames import BundleKind
 from service.base.status import Checks, trouble_check
+from service.results.fields import Result
 from service.results.refinement import RUSH
 
 WINDOW = 100
@@ -65,11 +63,11 @@ class RefinementWatch:
         self._first: list[float] = []
         self._latest: deque[float | None] = deque(maxlen=WINDOW)  # None: not looked at in a rush
 
-    def feed(self, record: Mapping[str, Any]) -> None:
+    def feed(self, record: Result) -> None:
         """Take one result into account, unless its body was not to be refined, or is a ball's, without texture."""
-        share = record.get("supported_share")
-        is_rushed = record.get("refinement_fallback") == RUSH
-        if record.get("kind") == BundleKind.BALL or (share is None and not is_rushed):
+        share = record.supported_share
+        is_rushed = record.refinement_fallback == RUSH
+        if record.kind == "ball" or (share is None and not is_rushed):
             return
         self._latest.append(share)
         if share is not None and len(self._first) < REFERENCE:

@@ -9,10 +9,9 @@ came before, hence not on the number of workers. Only the alarm is kept here.
 """
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from statistics import median
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.views.epipolar_tangency import ALARM_PX
 from service.base.status import Checks, HealthCheck, trouble_check
+from service.results.fields import Result
 
 WINDOW = 20
 """Latest stones over which medians are taken."""
@@ -124,12 +124,12 @@ class RigWatch:
         self._calibration_id = rig.calibration_id
         self._cameras = {camera.id: _Camera(camera) for camera in rig.cameras}
 
-    def feed(self, record: Mapping[str, Any]) -> None:
+    def feed(self, record: Result) -> None:
         """Take one result into account, unless it is of another calibration or compares no views."""
-        scores_px = record.get("tangency_px")
-        if not scores_px or record["calibration_id"] != self._calibration_id:
+        scores_px = record.tangency_px
+        if not scores_px or record.calibration_id != self._calibration_id:
             return
-        widths_px = {name: seen["edge_width_px"] for name, seen in record.get("optics", {}).items()}
+        widths_px = {name: seen.edge_width_px for name, seen in record.optics.items()}
         typical_px = median([width_px for width_px in widths_px.values() if width_px] or [SHARP_WIDTH_PX])
         for name, camera in self._cameras.items():
             # a sharp outline is compared with the others' blurred ones
@@ -137,11 +137,12 @@ class RigWatch:
             camera.latest_px = scores_px.get(name)
             if name in scores_px:  # it saw the stone whole
                 camera.tangency.add(scores_px[name])
-                camera.n_dropped = camera.n_dropped + 1 if name in record["dropped_views"] else 0
-            if name in record["image_shifts_px"]:
-                camera.shifts_px.append(tuple(record["image_shifts_px"][name]))
-            if name in record["view_residuals_px"]:
-                camera.residual.add(record["view_residuals_px"][name])
+                camera.n_dropped = camera.n_dropped + 1 if name in record.dropped_views else 0
+            if name in record.image_shifts_px:
+                u_px, v_px = record.image_shifts_px[name]
+                camera.shifts_px.append((u_px, v_px))
+            if name in record.view_residuals_px:
+                camera.residual.add(record.view_residuals_px[name])
 
     def scores(self) -> dict[CameraId, CameraScore]:
         """Return the scores of every camera of the rig."""

@@ -24,7 +24,7 @@ class SegmentationWatch:
 
     def feed(self, measured: MeasuredBundle) -> None:
         """Take one measured bundle into account, unless it was measured without the network."""
-        trouble, found_by = measured.network_trouble, measured.record["segmenters"].values()
+        trouble, found_by = measured.network_trouble, measured.record.segmenters.values()
         if trouble is not None or any(segmenter != FoundBy.BACKGROUND for segmenter in found_by):
             self._troubles.append(trouble)
 

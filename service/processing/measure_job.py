@@ -39,6 +39,7 @@ from service.base.errors import WorkerFailure
 from service.processing.background_files import read_background, write_background
 from service.processing.segmenters import CLASSICAL, SegmenterPlan, build_segmenter, warm_up
 from service.processing.worker_process import WarmUp, keep_freed_memory, worker_boundary
+from service.results.fields import Result
 from service.results.record import optics_record, result_record
 from service.results.refinement import RUSH
 
@@ -88,7 +89,7 @@ class MeasureJob:
 class MeasuredBundle:
     """The result record of one bundle, and why the segmentation network did not run as configured, if it did not."""
 
-    record: dict[str, Any]
+    record: Result
     network_trouble: str | None = None
 
 
@@ -234,11 +235,12 @@ def measure(job: MeasureJob) -> MeasuredBundle:
         speed_at_gate_mm_s=worker.context.speed_at_gate_mm_s,
         timings_ms=timings_ms,
     )
-    record["mesh"] = None if result.mesh is None else MESH
+    changes = {"mesh": None if result.mesh is None else MESH}
     if skips_refinement and result.measurement is not None:
-        record["refinement_fallback"] = RUSH
+        changes["refinement_fallback"] = RUSH
     seen = result.silhouettes.values()
-    return MeasuredBundle(record, next((view.network_trouble for view in seen if view.network_trouble), None))
+    trouble = next((view.network_trouble for view in seen if view.network_trouble), None)
+    return MeasuredBundle(record.model_copy(update=changes), trouble)
 
 
 @contextmanager

@@ -32,7 +32,7 @@ from service.processing.measure_job import (
 from service.processing.quarantine import Quarantine
 from service.processing.spool import Loss, SpooledBundle
 from service.processing.worker_pool import JobLostError, JobPool
-from service.results.fields import LossReason, Verified
+from service.results.fields import LossReason, Result, Verified
 from service.results.record import lost_record
 
 log = logging.getLogger(__name__)
@@ -53,8 +53,7 @@ class BundleSource(Protocol):
     async def release(self, bundle: SpooledBundle, seq: int | None = None) -> None: ...
 
 
-Record = Mapping[str, Any]
-KeepDrop = Callable[[Record], Awaitable[None]]
+KeepDrop = Callable[[Result], Awaitable[None]]
 """Stores the observation of a drop once its result is durable; raises `OSError` when it cannot be written."""
 
 
@@ -95,7 +94,7 @@ class ResultSink(Protocol):
     """Where outcomes are made durable; the store is one."""
 
     async def finish(
-        self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
+        self, session: int, bundle: str, record: Result, files: Mapping[str, Path] | None = None
     ) -> int: ...
 
 
@@ -119,7 +118,7 @@ class ProcessingObserver:
 
     on_progress: Callable[[], None]  # after every commit and at no other time
     on_empty_rig: Callable[[Mapping[str, Any]], None] = lambda optics: None  # optics of each exposure of it
-    on_result: Callable[[Record], None] = lambda record: None  # each one, in their order, once it is durable
+    on_result: Callable[[Result], None] = lambda record: None  # each one, in their order, once it is durable
     on_measured: Callable[[MeasuredBundle], None] = lambda measured: None  # each measured or rejected one
     on_outcome: Callable[[float], None] = lambda delay_s: None  # from each trigger to its durable outcome
 
@@ -262,7 +261,7 @@ class Processing:
                 self._last_loss = None
                 record = measured.record
                 if (verified := self._calibration.verified) is not None:
-                    record = {**record, "verification": verified}
+                    record = record.model_copy(update={"verification": verified})
                 seq = await self._results.finish(turn.session, bundle.name, record, files)
                 self._observer.on_result(record)
                 self._observer.on_measured(measured)
@@ -272,7 +271,7 @@ class Processing:
                     except OSError as err:  # the drop has its outcome; only the calibration lacks it
                         log.error("drop not kept for the calibration: %s bundle=%s", err, bundle.name)
                 await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)
-                log.debug("%s seq=%d bundle=%s", record["outcome"], seq, bundle.name)
+                log.debug("%s seq=%d bundle=%s", record.outcome, seq, bundle.name)
                 return seq
         return None
 

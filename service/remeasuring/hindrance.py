@@ -6,6 +6,7 @@ from http import HTTPStatus
 from drivers.interfaces import FrameLossReason
 from pipeline.views.dropped import DropCause, DroppedView
 from service.base.errors import ProblemError, ProblemKind
+from service.results.fields import Result
 from service.store import Record
 
 DAMAGED = str(DroppedView(DropCause.NO_FRAME, FrameLossReason.DAMAGED))
@@ -39,12 +40,10 @@ class RemeasureError(ProblemError):
         super().__init__(detail, why)
 
 
-def require_sound(before: Record, after: Record) -> None:
+def require_sound(before: Record, after: Result) -> None:
     """Raise `RemeasureError` if a page of the archive was damaged since: a result must not become worse for that."""
     damaged = [
-        camera
-        for camera, why in after["dropped_views"].items()
-        if why == DAMAGED and camera in before["views"]
+        camera for camera, why in after.dropped_views.items() if why == DAMAGED and camera in before["views"]
     ]
     if damaged:
         raise RemeasureError(Hindrance.FAILED, f"{before['id']}: frames of {', '.join(damaged)} are damaged")

@@ -12,13 +12,15 @@ import pickle
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from drivers.files.durable import replacing
 from service.processing.measure_job import MeasureJob, WorkerContext
 from service.remeasuring.hindrance import Hindrance, RemeasureError
 from service.remeasuring.jobs import Jobs
 from service.remeasuring.revising import revise
+from service.results.fields import Result
+from service.results.record import document_of, result_of
 from service.results.version import ALGORITHM_VERSION
 from service.store import Record, Store
 
@@ -47,10 +49,10 @@ def read_context(order: Order) -> WorkerContext:
     return _unpickled(order.context, WorkerContext)
 
 
-def write_record(order: Order, record: Record) -> None:
+def write_record(order: Order, record: Result) -> None:
     """Write the record of what was measured beside its files."""
     with replacing(order.job.out_dir / RECORD) as temporary:
-        temporary.write_text(json.dumps(record))
+        temporary.write_text(json.dumps(document_of(record)))
 
 
 class Orders:
@@ -119,10 +121,10 @@ def _write(folder: Path, order: Order, context: WorkerContext) -> None:
     (folder / ORDER).write_bytes(pickle.dumps(order))
 
 
-def _read_record(path: Path, before: Record) -> dict[str, Any]:
+def _read_record(path: Path, before: Record) -> Result:
     """Return the record of what was measured; raise `RemeasureError` unless it is one of this stone."""
     try:
-        record = dict(json.loads(path.read_text()))
+        record = result_of(json.loads(path.read_text()))
     except (OSError, ValueError, TypeError) as err:
         raise RemeasureError(
             Hindrance.FAILED, f"{before['id']}: nothing measured lies in its order: {err}"
@@ -133,10 +135,8 @@ def _read_record(path: Path, before: Record) -> dict[str, Any]:
         "algorithm_version": ALGORITHM_VERSION,
     }
     for field, value in wanted.items():
-        if record.get(field) != value:
-            raise RemeasureError(
-                Hindrance.FAILED, f"{before['id']}: {field} is {record.get(field)!r}, not {value!r}"
-            )
+        if (found := getattr(record, field)) != value:
+            raise RemeasureError(Hindrance.FAILED, f"{before['id']}: {field} is {found!r}, not {value!r}")
     return record
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from service.lots.lots import note_revised
 from service.processing.measure_job import RESULT_FILES
 from service.remeasuring.hindrance import Hindrance, RemeasureError, require_sound
+from service.results.fields import Result
 from service.store import Record, Store, audit
 from service.store.particle_files import drop_sources
 from service.store.reads import particle
@@ -23,7 +24,7 @@ NOTED = (
 """Fields of a result that the audit has before and after."""
 
 
-async def revise(store: Store, before: Record, record: Record, folder: Path, who: str) -> bool:
+async def revise(store: Store, before: Record, record: Result, folder: Path, who: str) -> bool:
     """Revise a stone by what was measured into a folder; return False if it was revised since `before`.
 
     Raises
@@ -44,7 +45,7 @@ def _revise(
     connection: sqlite3.Connection,
     particles_dir: Path,
     before: Record,
-    record: Record,
+    record: Result,
     files: Mapping[str, Path],
     who: str,
 ) -> int | None:

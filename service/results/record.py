@@ -1,21 +1,38 @@
-"""Make the result record: one flat dictionary, the same in `results.jsonl` and in the REST feed."""
+"""Make the result of a trigger: typed from measuring to the store, then one flat JSON object, the same everywhere.
+
+`results.jsonl` lacks what a result gets when it becomes durable; until then that has the values of `NOT_DURABLE`.
+"""
 
 from collections.abc import Iterable, Mapping
-from enum import StrEnum
 from typing import Any
 
 from pipeline.fall import extent_is_plausible, vertical_extent_mm
 from pipeline.frames import CameraId, Trigger
-from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult
+from pipeline.particle import ParticleMeasurement, ParticleResult
 from pipeline.segmentation.optics import ViewOptics
-from service.results.fields import EMPTY, MEASURED_FIELDS, STORED_FIELDS, Hull, Outcome
+from service.results.fields import MEASURED_FIELDS, STORED_FIELDS, Hull, Outcome, Result
 from service.results.version import ALGORITHM_VERSION
 
+NOT_DURABLE = {"seq": 0, "id": "", "session": 0, "recorded_at": ""}
+"""What a result has of what the store gives it, until then."""
+OF_PARTICLE = frozenset(dir(ParticleMeasurement))
+"""Attributes of the particle; other measured fields are those of its shape."""
 OPTICS_DIGITS = {
     "brightness": 4, "gradient_uv": 4, "dust": 4, "spots_share": 4, "saturated_share": 5, "noise_grey": 2,
     "edge_width_px": 2, "edge_widths_uv_px": 2, "contrast": 3,
 }  # fmt: skip
 """Fields of `service.results.fields.RecordedOptics`, and the digits after the point that one exposure shows."""
+
+
+def result_of(document: Mapping[str, Any]) -> Result:
+    """Return the result that is not durable yet and that this JSON object describes."""
+    return Result.model_validate({**NOT_DURABLE, **document})
+
+
+def document_of(result: Result) -> dict[str, Any]:
+    """Return a result as a JSON object without what it gets when it becomes durable."""
+    document = result.model_dump(exclude=set(STORED_FIELDS))
+    return document if result.verification is None else document | {"verification": result.verification}
 
 
 def result_record(
@@ -27,31 +44,34 @@ def result_record(
     is_simulated: bool,
     speed_at_gate_mm_s: float,
     timings_ms: dict[str, float],
-) -> dict[str, Any]:
-    """Return the record of a bundle that was processed: `measured`, or `rejected` with the reason."""
+) -> Result:
+    """Return the result of a bundle that was processed: `measured`, or `rejected` with the reason."""
     measurement, rejection, compared = result.measurement, result.rejection, result.consistency
-    record = _base(trigger, bundle, calibration_id, is_simulated)
-    record |= {
-        "outcome": str(Outcome.REJECTED if measurement is None else Outcome.MEASURED),
-        "reason": None if rejection is None else str(rejection.reason),
-        "detail": None if rejection is None else rejection.detail,
-        "quality": None if result.quality is None else str(result.quality),
-        "quality_causes": [str(cause) for cause in result.quality_causes],
-        "views": list(result.views),
-        "dropped_views": {camera: str(why) for camera, why in result.dropped.items()},
-        "segmenters": {camera: str(seen.found_by) for camera, seen in result.silhouettes.items()},
-        "segmentation_flags": {
-            camera: seen.fallback for camera, seen in result.silhouettes.items() if seen.fallback is not None
-        },
-        "view_residuals_px": _rounded_each(result.residuals_px),
-        "tangency_px": {} if compared is None else _rounded_each(compared.tangency_px),
-        "image_shifts_px": {} if compared is None else _rounded_each(compared.image_shifts_px),
-        "optics": optics_record(result.optics),
-        "timings_ms": timings_ms,
-    }
-    if measurement is not None:
-        record |= _measured(measurement)
-    return record | _gate_extent(trigger, measurement, speed_at_gate_mm_s)
+    return result_of(
+        {
+            **_fall(trigger, bundle, calibration_id, is_simulated),
+            "outcome": Outcome.REJECTED if measurement is None else Outcome.MEASURED,
+            "reason": None if rejection is None else str(rejection.reason),
+            "detail": None if rejection is None else rejection.detail,
+            "quality": result.quality,
+            "quality_causes": list(result.quality_causes),
+            "views": list(result.views),
+            "dropped_views": {camera: str(why) for camera, why in result.dropped.items()},
+            "segmenters": {camera: str(seen.found_by) for camera, seen in result.silhouettes.items()},
+            "segmentation_flags": {
+                camera: seen.fallback
+                for camera, seen in result.silhouettes.items()
+                if seen.fallback is not None
+            },
+            "view_residuals_px": _rounded_each(result.residuals_px),
+            "tangency_px": {} if compared is None else _rounded_each(compared.tangency_px),
+            "image_shifts_px": {} if compared is None else _rounded_each(compared.image_shifts_px),
+            "optics": optics_record(result.optics),
+            "timings_ms": timings_ms,
+            **({} if measurement is None else _measured(measurement)),
+            **_gate_extent(trigger, measurement, speed_at_gate_mm_s),
+        }
+    )
 
 
 def optics_record(optics: Mapping[CameraId, ViewOptics]) -> dict[str, Any]:
@@ -75,19 +95,17 @@ def _rounded(value: float | Iterable[float] | None, digits: int) -> float | list
 
 def lost_record(
     trigger: Trigger, *, bundle: str, reason: str, detail: str, calibration_id: str, is_simulated: bool
-) -> dict[str, Any]:
-    """Return the record of a trigger whose bundle was never processed; `reason` is a `LossReason`."""
-    record = _base(trigger, bundle, calibration_id, is_simulated)
-    return record | {"outcome": str(Outcome.LOST), "reason": str(reason), "detail": detail}
+) -> Result:
+    """Return the result of a trigger whose bundle was never processed; `reason` is a `LossReason`."""
+    fall = _fall(trigger, bundle, calibration_id, is_simulated)
+    return result_of({**fall, "outcome": Outcome.LOST, "reason": str(reason), "detail": detail})
 
 
-def _base(trigger: Trigger, bundle: str, calibration_id: str, is_simulated: bool) -> dict[str, Any]:
-    """Return all fields but those of the store, in the order of the contract, nothing measured yet."""
-    empty = {name: value for name, value in EMPTY.items() if name not in STORED_FIELDS}
-    return empty | {
+def _fall(trigger: Trigger, bundle: str, calibration_id: str, is_simulated: bool) -> dict[str, Any]:
+    return {
         "bundle": bundle,
         "sequence": trigger.sequence,
-        "kind": str(trigger.kind),
+        "kind": trigger.kind,
         "n_stones": trigger.n_stones,
         "captured_at": trigger.utc,
         "calibration_id": calibration_id,
@@ -98,22 +116,9 @@ def _base(trigger: Trigger, bundle: str, calibration_id: str, is_simulated: bool
 
 def _measured(measurement: ParticleMeasurement) -> dict[str, Any]:
     """Return the measured fields: attributes of the particle, else of its shape."""
-    return {
-        name: _plain(getattr(measurement if hasattr(measurement, name) else measurement.shape, name))
-        for name in MEASURED_FIELDS
-    }
-
-
-def _plain(value: Any) -> Any:
-    """Return the value in types that JSON has."""
-    match value:
-        case HullMeasurement():
-            return {name: getattr(value, name) for name in Hull.model_fields}
-        case tuple():
-            return list(value)
-        case StrEnum():
-            return str(value)
-    return value
+    hull = {name: getattr(measurement.hull, name) for name in Hull.model_fields}
+    sources = {name: measurement if name in OF_PARTICLE else measurement.shape for name in MEASURED_FIELDS}
+    return {name: getattr(source, name) for name, source in sources.items()} | {"hull": hull}
 
 
 def _gate_extent(

@@ -19,7 +19,7 @@ from drivers.files.durable import sync
 from pipeline.frames import GateCount, Trigger
 from service.base import aside
 from service.base.errors import StoreError
-from service.results.fields import LossReason
+from service.results.fields import LossReason, Result
 from service.store import audit, backups, history, reads, writes
 from service.store.particle_files import RAW, drop_raw, drop_sources, path_of
 from service.store.schema import connect_reader, lock_store, read, transaction
@@ -176,7 +176,7 @@ class Store:
         self._n_notes -= 1
 
     async def finish(
-        self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
+        self, session: int, bundle: str, record: Result, files: Mapping[str, Path] | None = None
     ) -> int:
         """End a trigger with `record` and return the result's `seq`.
 

@@ -18,8 +18,8 @@ from typing import Any
 from drivers.files.times import is_of_unset_clock, utc_now
 from pipeline.frames import BundleKind, GateCount, Trigger, rfc3339
 from service.base.errors import StoreError
-from service.results.fields import LossReason, Outcome
-from service.results.record import lost_record
+from service.results.fields import LossReason, Outcome, Result
+from service.results.record import document_of, lost_record
 from service.store import indexed_fields
 from service.store.particle_files import (
     drop_raw,
@@ -129,7 +129,7 @@ def finish(
     particles_dir: Path,
     session: int,
     bundle: str,
-    record: Mapping[str, Any],
+    record: Result,
     files: Mapping[str, Path],
 ) -> tuple[int, bool]:
     """End a trigger with `record`; return its `seq`, and False if it has a result already, which it keeps.
@@ -143,9 +143,9 @@ def finish(
         (session, bundle),
     ).fetchone()
     if row is None:
-        if record.get("captured_at") is None:
+        if not record.captured_at:
             raise StoreError(f"session {session}, bundle {bundle}: no such trigger was recorded")
-        fall = [record["sequence"], record["kind"], record["captured_at"], record.get("n_stones", 1)]
+        fall = (record.sequence, record.kind, record.captured_at, record.n_stones)
         row = (_record(connection, session, bundle, *fall), "open", None)
     trigger, state, seq = row
     if state == "background":
@@ -195,7 +195,7 @@ def add_revision(
     connection: sqlite3.Connection,
     particles_dir: Path,
     name: str,
-    record: Mapping[str, Any],
+    record: Result,
     files: Mapping[str, Path],
 ) -> int | None:
     """Add a revision of the stone with this id, and return its `seq`; None if it or its files were removed meanwhile.
@@ -246,7 +246,7 @@ def _end(
     connection: sqlite3.Connection,
     particles_dir: Path,
     trigger: int,
-    record: Mapping[str, Any],
+    record: Result,
     files: Mapping[str, Path],
 ) -> int:
     session, bundle, sequence, kind, captured_at, n_stones, is_replay = connection.execute(
@@ -280,17 +280,15 @@ def _end(
         (seq, name, trigger, session, _durable(record, identity, kept, name)),
     )
     indexed_fields.index_results(connection, "seq = ?", seq)
-    if record["outcome"] != Outcome.LOST:
+    if record.outcome != Outcome.LOST:
         connection.execute(
             "INSERT INTO files (seq, folder, bytes) VALUES (?, ?, ?)", (seq, folder, sum(kept.values()))
         )
-    connection.execute("UPDATE triggers SET state = ? WHERE trigger = ?", (record["outcome"], trigger))
+    connection.execute("UPDATE triggers SET state = ? WHERE trigger = ?", (record.outcome, trigger))
     return int(seq)
 
 
-def _durable(
-    record: Mapping[str, Any], identity: Mapping[str, Any], kept: Collection[str], key: str | int
-) -> str:
+def _durable(record: Result, identity: Mapping[str, Any], kept: Collection[str], key: str | int) -> str:
     """Return a record as it is stored: with its identity, and the address of its mesh if that was kept."""
     given = {
         **identity,
@@ -299,4 +297,4 @@ def _durable(
         "mesh": f"particles/{key}/mesh.ply" if any(file.startswith("mesh.") for file in kept) else None,
     }
     # first for the order of the keys, last for the values
-    return json.dumps(given | dict(record) | given, allow_nan=False)
+    return json.dumps(given | document_of(record) | given, allow_nan=False)

@@ -134,7 +134,7 @@ def bump(rig: RigCalibration, turn_deg: float, rng: np.random.Generator, seen: S
     for number in range(1, N_AFTER + 1):
         record = watch_record(seen(hit), rig)
         watch.feed(record)
-        dropped += camera in record["dropped_views"]
+        dropped += camera in record.dropped_views
         for suspicion in watch.suspicions():
             if suspicion.camera == camera:
                 named_after, said = named_after or number, suspicion.detail
@@ -154,7 +154,7 @@ def false_alarms(rig: RigCalibration, seen: Seen, n_stones: int = N_HEALTHY) -> 
         record = watch_record(seen(rig), rig)
         watch.feed(record)
         alarms += len(watch.suspicions())
-        scores_px += record["tangency_px"].values()
+        scores_px += record.tangency_px.values()
     return alarms, np.array(scores_px)
 
 

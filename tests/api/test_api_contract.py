@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.outcomes import add, measured, rejected
+from support.outcomes import add, measured, rejected, result
 from support.rest import FakeControl, app_of, particle_files
 from support.served import served_by
 
@@ -111,7 +111,7 @@ async def fill(store: Store, session: int, folder: Path) -> None:
     others = {"max_feret_mm": 15.0, "volume_mm3": 600.0, "volume_sd_percent": 0.5, "surface_sd_mm": 0.02}
     await add(store, session, 1, measured(**lengths, **others), files)
     await add(store, session, 2, rejected("empty"))
-    await add(store, session, 3, {"outcome": "lost", "reason": "queue_full"})
+    await add(store, session, 3, result(outcome="lost", reason="queue_full"))
     await store.write(close_lot, "L1", None, "test")
     await store.write(open_lot, LotDefinition(lot="L2"), "basalt-8-16", None, "test")
 

@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 from support.eventually import PATIENCE_S
-from support.outcomes import add, measured, rejected, trigger
+from support.outcomes import add, measured, rejected, result, trigger
 from support.rest import FakeControl, app_of, client_of, particle_files
 from support.sent_events import Stream, opened
 from support.served import Served, served_by
@@ -34,7 +34,7 @@ LENGTHS = dict.fromkeys(
     ("sieve_size_mm", "max_feret_mm", "min_feret_mm", "length_mm", "width_mm", "thickness_mm"), 10.0
 )
 STONE = measured(**LENGTHS, volume_mm3=500.0, volume_sd_percent=0.5, surface_sd_mm=0.02, zingg_class="equant")
-LOST = {"outcome": "lost", "reason": "queue_full"}
+LOST = result(outcome="lost", reason="queue_full")
 DECISION = {"FI": "flakiness_decision", "SI": "shape_decision"}
 PRODUCT = ProductDefinition(
     title="8/16 basalt",

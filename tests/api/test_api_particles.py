@@ -207,7 +207,7 @@ async def test_files_may_be_cached_for_ever(client: httpx.AsyncClient, particle_
 async def test_what_was_not_kept_says_why(
     client: httpx.AsyncClient, store: Store, session: int, tmp_path: Path
 ) -> None:
-    await add(store, session, 1, {**rejected("multiple"), "views": ["c01"]})
+    await add(store, session, 1, rejected("multiple").model_copy(update={"views": ["c01"]}))
     for path in (
         "mesh",
         "preview.png",

@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 from support.eventually import PATIENCE_S
-from support.outcomes import add, measured, rejected
+from support.outcomes import add, measured, rejected, result
 from support.rest import assert_problem
 
 from service.particles.routes.results import ResultsPage
@@ -32,7 +32,7 @@ async def test_an_empty_feed(client: httpx.AsyncClient, store: Store) -> None:
 async def test_a_reader_gets_everything_once_in_order(
     client: httpx.AsyncClient, store: Store, session: int
 ) -> None:
-    records = [measured(volume_mm3=1.0), rejected("empty"), {"outcome": "lost", "reason": "queue_full"}] * 3
+    records = [measured(volume_mm3=1.0), rejected("empty"), result(outcome="lost", reason="queue_full")] * 3
     for i, record in enumerate(records):
         await add(store, session, i, record)
     after, seen = 0, []
@@ -44,7 +44,7 @@ async def test_a_reader_gets_everything_once_in_order(
         assert (page.first_seq, page.last_seq, page.next_after) == (1, 9, page.items[-1].seq)
         seen += [(item.seq, item.outcome) for item in page.items]
         after = page.next_after
-    assert seen == [(i + 1, record["outcome"]) for i, record in enumerate(records)]
+    assert seen == [(i + 1, record.outcome) for i, record in enumerate(records)]
 
 
 async def test_what_is_unknown_is_null_and_what_is_extra_is_kept(

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.frames import BundleKind, Trigger
+from service.results.fields import Result
+from service.results.record import result_of
 from service.store import Store
 
 
@@ -17,11 +19,16 @@ def trigger(sequence: int, kind: BundleKind = BundleKind.PARTICLE) -> Trigger:
     return Trigger(sequence=sequence, received_ns=0, device_ns=0, utc=utc, kind=kind)
 
 
-def measured(**fields: Any) -> dict[str, Any]:
-    """Return the fields of a measured record that store and REST interface read."""
-    return {
+def result(**fields: Any) -> Result:
+    """Return a result with these fields; the store fills in what it knows of the fall."""
+    fall = {"bundle": "", "sequence": 0, "kind": "particle", "captured_at": ""}
+    return result_of({**fall, "outcome": "measured", **fields})
+
+
+def measured(**fields: Any) -> Result:
+    """Return a measured result with the fields that store and REST interface read."""
+    made = {
         "outcome": "measured",
-        "reason": None,
         "quality": "good",
         "views": ["c01", "c02"],
         "dropped_views": {"c03": "residual"},
@@ -29,19 +36,19 @@ def measured(**fields: Any) -> dict[str, Any]:
         "min_box_mm": [30.0, 20.0, 10.0],
         "calibration_id": "0123",
         "is_simulated": True,
-        **fields,
     }
+    return result(**{**made, **fields})
 
 
-def rejected(reason: str) -> dict[str, Any]:
-    return {"outcome": "rejected", "reason": reason, "quality": None, "views": [], "dropped_views": {}}
+def rejected(reason: str) -> Result:
+    return result(outcome="rejected", reason=reason)
 
 
 async def add(
     store: Store,
     session: int,
     sequence: int,
-    record: Mapping[str, Any],
+    record: Result,
     files: Mapping[str, Path] | None = None,
 ) -> int:
     """Store a trigger and its outcome; return the `seq`."""

@@ -2,17 +2,18 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from support.outcomes import result
 
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.views.consistency import ConsistencyParameters, displaced_views
 from pipeline.views.epipolar_tangency import epipolar_tangents, image_shifts_px, tangency_scores_px
+from service.results.fields import Result
 
 Array = NDArray[np.float64]
 
@@ -62,15 +63,15 @@ def bumped(rig: RigCalibration, camera: str, turn_deg: Array) -> RigCalibration:
     return replace(rig, cameras=cameras)
 
 
-def watch_record(outlines: Mapping[CameraId, Array], rig: RigCalibration) -> dict[str, Any]:
+def watch_record(outlines: Mapping[CameraId, Array], rig: RigCalibration) -> Result:
     """What the rig's watch reads of the result of a stone with these outlines."""
     tangents = epipolar_tangents(outlines, rig)
     scores_px = tangency_scores_px(tangents)
     dropped, _ = displaced_views(tangents, scores_px, ConsistencyParameters())
-    return {
-        "calibration_id": rig.calibration_id,
-        "tangency_px": scores_px,
-        "image_shifts_px": image_shifts_px(tangents),
-        "dropped_views": dropped,
-        "view_residuals_px": {},
-    }
+    return result(
+        outcome="measured",
+        calibration_id=rig.calibration_id,
+        tangency_px=scores_px,
+        image_shifts_px=image_shifts_px(tangents),
+        dropped_views={camera: str(why) for camera, why in dropped.items()},
+    )

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from support.outcomes import measured
+
 from pipeline.frames import BundleKind, CameraId, Trigger
 from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
@@ -14,7 +16,8 @@ from service.processing.measure_job import LearnJob, MeasuredBundle, MeasureJob,
 from service.processing.processing import Processing, ProcessingContext, ProcessingObserver
 from service.processing.quarantine import Quarantine
 from service.processing.spool import Loss, SpooledBundle
-from service.results.fields import Verified
+from service.results.fields import Result, Verified
+from service.results.record import document_of
 
 RIG = RigFile(Path("rig.json"), "rig")
 
@@ -77,12 +80,9 @@ class ScriptedPool:
         job.out_dir.mkdir(parents=True)
         (job.out_dir / "mesh.ply").write_text(name)
         (job.out_dir / "mesh.ply.tmp").touch()
-        record = {
-            "bundle": name,
-            "outcome": "measured",
-            "background": job.background_path,
-            "calibration_id": job.rig_file.calibration_id,
-        }
+        record = measured(
+            bundle=name, background=job.background_path, calibration_id=job.rig_file.calibration_id
+        )
         return MeasuredBundle(record)
 
     def _observe(self, name: str, job: ObserveJob) -> ObservedDrop:
@@ -97,10 +97,10 @@ class ListStore:
         self.records: list[Mapping[str, Any]] = []
 
     async def finish(
-        self, session: int, bundle: str, record: Mapping[str, Any], files: Mapping[str, Path] | None = None
+        self, session: int, bundle: str, record: Result, files: Mapping[str, Path] | None = None
     ) -> int:
-        assert record["bundle"] == bundle
-        self.records.append({**record, "session": session, "files": dict(files or {})})
+        assert record.bundle == bundle
+        self.records.append({**document_of(record), "session": session, "files": dict(files or {})})
         return len(self.records)
 
 
@@ -118,8 +118,8 @@ class Desk:
         if self.kind is None:
             return None
 
-        async def add(drop: ObservedDrop, record: Mapping[str, Any], outlines: Path | None) -> None:
-            self.collected.append((drop, record["bundle"], outlines is not None))
+        async def add(drop: ObservedDrop, record: Result, outlines: Path | None) -> None:
+            self.collected.append((drop, record.bundle, outlines is not None))
 
         return DropCollector(kind=self.kind, diameters_mm=(10.0,), add=add)
 
@@ -154,7 +154,7 @@ class Bench:
             observer=ProcessingObserver(
                 on_outcome=self.delays_s.append,
                 on_progress=self.on_progress,
-                on_result=lambda record: self.told.append((record["bundle"], len(self.store.records))),
+                on_result=lambda record: self.told.append((record.bundle, len(self.store.records))),
             ),
             quarantine=self.quarantine,
         )

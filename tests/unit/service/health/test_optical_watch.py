@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.outcomes import result
 
 from pipeline.frames import CameraId
 from pipeline.rig.design import as_built, nominal_rig
@@ -45,7 +46,7 @@ def watching() -> OpticalWatch:
 def after(*exposures: dict[str, dict[str, Any]]) -> OpticalWatch:
     watch = watching()
     for each in exposures:
-        watch.feed({"optics": each})
+        watch.feed_optics(each)
     return watch
 
 
@@ -75,8 +76,8 @@ def test_few_exposures_are_no_opinion() -> None:
 
 def test_results_without_figures_teach_nothing() -> None:
     watch = after(*[exposure()] * MIN_EXPOSURES)
-    watch.feed({"outcome": "lost"})
-    watch.feed({"optics": {}})
+    watch.feed(result(outcome="lost"))
+    watch.feed_optics({})
     assert watch.optics()[C05].dust == 0.004
 
 
@@ -127,11 +128,11 @@ def test_an_alarm_at_its_limit_does_not_come_and_go() -> None:
     watch = after(*[exposure(c05={"dust": 0.051})] * WINDOW)
     told = []
     for number in range(10 * WINDOW):
-        watch.feed({"optics": exposure(c05={"dust": 0.047 if number // WINDOW % 2 else 0.052})})
+        watch.feed_optics(exposure(c05={"dust": 0.047 if number // WINDOW % 2 else 0.052}))
         told.append(len(watch.findings()))
     assert set(told) == {1}
     for _ in range(WINDOW):
-        watch.feed({"optics": exposure()})
+        watch.feed_optics(exposure())
     assert not watch.findings()
 
 

@@ -1,7 +1,8 @@
 """Whether dents are still seen, told from what the record of each stone says of its pixels."""
 
 from collections.abc import Iterable
-from typing import Any
+
+from support.outcomes import result
 
 from service.health.refinement_watch import (
     HYSTERESIS,
@@ -12,25 +13,25 @@ from service.health.refinement_watch import (
     RefinementTrend,
     RefinementWatch,
 )
-from service.results.fields import EMPTY
+from service.results.fields import Result
 from service.results.refinement import RUSH
 
-RUSHED = EMPTY | {"kind": "particle", "body": "estimate", "refinement_fallback": RUSH}
+RUSHED = result(kind="particle", body="estimate", refinement_fallback=RUSH)
 
 
-def seen(share: float) -> dict[str, Any]:
+def seen(share: float) -> Result:
     """Return the record of a stone whose pixels were looked at; of too small a share they showed nothing."""
     fallback = "no texture that the views share" if share == 0 else None
-    return EMPTY | {"kind": "particle", "supported_share": share, "refinement_fallback": fallback}
+    return result(kind="particle", supported_share=share, refinement_fallback=fallback)
 
 
-def after(*records: dict[str, Any]) -> RefinementWatch:
+def after(*records: Result) -> RefinementWatch:
     watch = RefinementWatch()
     feed(watch, records)
     return watch
 
 
-def feed(watch: RefinementWatch, records: Iterable[dict[str, Any]]) -> None:
+def feed(watch: RefinementWatch, records: Iterable[Result]) -> None:
     for record in records:
         watch.feed(record)
 
@@ -45,10 +46,10 @@ def test_the_median_of_the_latest_stones_is_told_once_there_are_enough() -> None
 
 
 def test_what_is_not_to_be_refined_says_nothing() -> None:
-    estimated = EMPTY | {"kind": "particle", "body": "estimate"}
-    ball = seen(0.0) | {"kind": "ball"}
-    lost = EMPTY | {"kind": "particle", "outcome": "lost"}
-    assert after(*[estimated, ball, lost, {}] * WINDOW).trend == RefinementTrend()
+    estimated = result(kind="particle", body="estimate")
+    ball = seen(0.0).model_copy(update={"kind": "ball"})
+    lost = result(kind="particle", outcome="lost")
+    assert after(*[estimated, ball, lost] * WINDOW).trend == RefinementTrend()
 
 
 def test_a_rush_is_told_until_most_stones_are_refined_again() -> None:

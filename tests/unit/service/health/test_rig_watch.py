@@ -3,15 +3,16 @@
 import re
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
+from support.outcomes import result
 from support.outlines import seen_by, stone_outlines, stone_points, watch_record
 
 from pipeline.frames import CameraId
 from pipeline.rig.design import as_built, nominal_rig
 from service.health.rig_watch import MIN_STONES, REMEDY, WINDOW, RigWatch, Suspicion
+from service.results.fields import RecordedOptics, Result
 
 RIG = as_built(nominal_rig(), seed=3)
 C05 = CameraId("c05")
@@ -24,19 +25,20 @@ def record(
     dropped: tuple[str, ...] = (),
     residual_px: Mapping[str, float] | None = None,
     calibration_id: str = RIG.calibration_id,
-) -> dict[str, Any]:
+) -> Result:
     """Of a stone; cameras in `px` have this score, those and those dropped see the stone shifted."""
     scores = dict.fromkeys(RIG.camera_ids, 0.07) | dict(px or {})
-    return {
-        "calibration_id": calibration_id,
-        "tangency_px": scores,
-        "image_shifts_px": {c: list(shift if c in (px or {}) else (0.02, -0.01)) for c in RIG.camera_ids},
-        "dropped_views": dict.fromkeys(dropped, "contradicts the other views"),
-        "view_residuals_px": {c: 0.15 for c in RIG.camera_ids if c not in dropped} | dict(residual_px or {}),
-    }
+    return result(
+        outcome="measured",
+        calibration_id=calibration_id,
+        tangency_px=scores,
+        image_shifts_px={c: list(shift if c in (px or {}) else (0.02, -0.01)) for c in RIG.camera_ids},
+        dropped_views=dict.fromkeys(dropped, "contradicts the other views"),
+        view_residuals_px={c: 0.15 for c in RIG.camera_ids if c not in dropped} | dict(residual_px or {}),
+    )
 
 
-def fed(*records: dict[str, Any]) -> RigWatch:
+def fed(*records: Result) -> RigWatch:
     watch = RigWatch(RIG)
     for each in records:
         watch.feed(each)
@@ -133,18 +135,18 @@ def test_outlines_that_differ_without_a_shift_are_not_called_a_move():
 
 
 def test_outlines_that_are_blurred_disagree_more_without_having_moved():
-    blurred = {camera: {"edge_width_px": 4 * 2.6} for camera in RIG.camera_ids}
-    stone = record(dict.fromkeys(RIG.camera_ids, 0.5)) | {"optics": blurred}
+    blurred = {camera: RecordedOptics.model_construct(edge_width_px=4 * 2.6) for camera in RIG.camera_ids}
+    stone = record(dict.fromkeys(RIG.camera_ids, 0.5)).model_copy(update={"optics": blurred})
     assert not fed(*[stone] * WINDOW).suspicions()
-    moved = record({"c05": 1.3}, (2.0, 0.5)) | {"optics": blurred}
+    moved = record({"c05": 1.3}, (2.0, 0.5)).model_copy(update={"optics": blurred})
     assert the_suspicion(fed(*[moved] * MIN_STONES)).camera == C05
 
 
 def test_a_sharp_camera_is_compared_with_the_blurred_ones():
-    blurred = {camera: {"edge_width_px": 4 * 2.6} for camera in RIG.camera_ids} | {
-        "c05": {"edge_width_px": 2.6}
+    blurred = {camera: RecordedOptics.model_construct(edge_width_px=4 * 2.6) for camera in RIG.camera_ids} | {
+        "c05": RecordedOptics.model_construct(edge_width_px=2.6)
     }
-    stone = record({"c05": 0.5}, (0.7, 0.2)) | {"optics": blurred}
+    stone = record({"c05": 0.5}, (0.7, 0.2)).model_copy(update={"optics": blurred})
     assert not fed(*[stone] * WINDOW).suspicions()
 
 
@@ -196,6 +198,5 @@ def test_scores_belong_to_a_calibration():
 def test_records_that_compare_no_views_teach_nothing():
     watch = fed(*[record({"c05": 31.0}, (50.0, 0.0), dropped=("c05",))])
     before = watch.suspicions()
-    watch.feed({"calibration_id": RIG.calibration_id, "tangency_px": {}, "dropped_views": {}})
-    watch.feed({"calibration_id": RIG.calibration_id})  # of an older version
+    watch.feed(result(outcome="lost", calibration_id=RIG.calibration_id))
     assert watch.suspicions() == before

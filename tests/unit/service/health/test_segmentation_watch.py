@@ -1,15 +1,15 @@
 """Whether the network runs as it should, told from what workers say of each bundle."""
 
+from support.outcomes import result
+
 from service.base.status import trouble_check
 from service.health.segmentation_watch import WINDOW, SegmentationWatch
 from service.processing.measure_job import MeasuredBundle
 from service.processing.segmenters import SegmenterPlan
 
 PLAN = SegmenterPlan(wanted="auto", model=b"model")
-BY_NETWORK, BY_BACKGROUND = (
-    {"segmenters": {"c01": "background", "c02": "network"}},
-    {"segmenters": {"c01": "background"}},
-)
+BY_NETWORK = result(segmenters={"c01": "background", "c02": "network"})
+BY_BACKGROUND = result(segmenters={"c01": "background"})
 RUNS, NOT_ASKED = MeasuredBundle(BY_NETWORK), MeasuredBundle(BY_BACKGROUND)
 ON_CPU = MeasuredBundle(BY_NETWORK, "GPU failed, the CPU computes")
 CANNOT_RUN = MeasuredBundle(BY_BACKGROUND, "model x: cannot be run: out of memory")

@@ -47,7 +47,7 @@ async def measured_there(folder: Path, **fields: Any) -> None:
     """Do what the command does: measure what was ordered, and lay it into the order."""
     order = await asyncio.to_thread(read_order, folder)
     done = await AgainPool().run(measure, order.job)
-    await asyncio.to_thread(write_record, order, {**done.record, **fields})
+    await asyncio.to_thread(write_record, order, done.record.model_copy(update=fields))
 
 
 async def test_what_was_measured_elsewhere_becomes_one_revision(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from support.calibration_desk import open_desk
-from support.outcomes import add, measured
+from support.outcomes import add, measured, result
 from support.remeasuring import AgainPool, add_old, remeasuring_of
 from support.rest import particle_files
 
@@ -226,7 +226,7 @@ async def test_frames_that_were_damaged_since_make_no_result_worse(
 
 
 async def test_a_lost_stone_has_nothing_to_measure(store: Store, session: int, again: Remeasuring) -> None:
-    await add(store, session, 1, {**measured(), "outcome": "lost", "reason": "crash"})
+    await add(store, session, 1, result(outcome="lost", reason="crash"))
     record = await store.read(particle, 1)
     assert record is not None
     await assert_hindered(again, store, record["id"], Hindrance.NO_FRAMES)

@@ -2,7 +2,6 @@
 
 from dataclasses import fields, replace
 from functools import cache
-from typing import Any
 
 import pytest
 import trimesh
@@ -20,8 +19,8 @@ from pipeline.segmentation import Silhouette, ViewStatus
 from pipeline.uncertainty import Cause, Uncertainty
 from pipeline.views.quality import Quality
 from service.lots.stones import stone_of
-from service.results.fields import MEASURED_FIELDS
-from service.results.record import lost_record, result_record
+from service.results.fields import MEASURED_FIELDS, Result
+from service.results.record import document_of, lost_record, result_record
 
 MIN_FERET_MM, MAX_FERET_MM = 10.0, 37.417  # of a box of 10 x 20 x 30 mm
 REJECTED = ParticleResult(silhouettes={}, rejection=RejectedError(RejectReason.EMPTY, "nothing there"))
@@ -62,12 +61,12 @@ def test_every_view_says_who_found_its_outline_and_why_not_the_other():
         for camera, found_by, flag in (("c01", "background", None), ("c02", "network", "no background yet"))
     }
     record = record_of(replace(REJECTED, silhouettes=seen), None)
-    assert record["segmenters"] == {"c01": "background", "c02": "network"}
-    assert record["segmentation_flags"] == {"c02": "no background yet"}
+    assert record.segmenters == {"c01": "background", "c02": "network"}
+    assert record.segmentation_flags == {"c02": "no background yet"}
     lost = lost_record(
         trigger(1), bundle="b", reason="r", detail="d", calibration_id="0123", is_simulated=True
     )
-    assert (lost["segmenters"], lost["segmentation_flags"]) == ({}, {})
+    assert (lost.segmenters, lost.segmentation_flags) == ({}, {})
 
 
 def trigger(width_ns: int | None) -> Trigger:
@@ -76,9 +75,7 @@ def trigger(width_ns: int | None) -> Trigger:
     )
 
 
-def record_of(
-    result: ParticleResult, width_ns: int | None, speed_at_gate_mm_s: float = 0.0
-) -> dict[str, Any]:
+def record_of(result: ParticleResult, width_ns: int | None, speed_at_gate_mm_s: float = 0.0) -> Result:
     return result_record(
         result,
         trigger(width_ns),
@@ -97,13 +94,13 @@ def test_a_known_body_has_its_measures_in_the_record_and_in_the_lot(name: str) -
     record = record_of(measured(shape, shape.volume_mm3), None)
     fields = ("volume_mm3", "surface_area_mm2", "equivalent_diameter_mm", "sphericity")
     fields += ("max_feret_mm", "min_feret_mm", "sieve_size_mm")
-    assert [record[each] for each in fields] == pytest.approx(SIZES[name], rel=5e-3)
+    assert [getattr(record, each) for each in fields] == pytest.approx(SIZES[name], rel=5e-3)
     if name in FORMS:
         edges, krumbein, corey, zingg = FORMS[name]
-        assert record["min_box_mm"] == pytest.approx(edges, rel=1e-3)
-        assert (record["krumbein"], record["corey"]) == pytest.approx((krumbein, corey), abs=1e-3)
-        assert record["zingg_class"] == zingg
-    stone = stone_of(record)
+        assert record.min_box_mm == pytest.approx(edges, rel=1e-3)
+        assert (record.krumbein, record.corey) == pytest.approx((krumbein, corey), abs=1e-3)
+        assert record.zingg_class == zingg
+    stone = stone_of(document_of(record))
     assert isinstance(stone, Stone)
     assert (stone.volume_mm3, stone.max_feret_mm, stone.min_feret_mm, stone.sieve_size_mm) == pytest.approx(
         (SIZES[name][0], *SIZES[name][4:]), rel=1e-3
@@ -113,22 +110,22 @@ def test_a_known_body_has_its_measures_in_the_record_and_in_the_lot(name: str) -
 @given(st.floats(MIN_FERET_MM, MAX_FERET_MM), st.floats(0, 3000))
 def test_a_stone_is_plausible_however_it_was_turned_at_the_gate(extent_mm: float, speed: float) -> None:
     record = record_of(measured(), pulse_width_ns(extent_mm, speed), speed)
-    assert record["gate_extent_mm"] == pytest.approx(extent_mm, rel=1e-4)
-    assert record["gate_extent_is_plausible"] is True
+    assert record.gate_extent_mm == pytest.approx(extent_mm, rel=1e-4)
+    assert record.gate_extent_is_plausible is True
 
 
 @given(st.floats(0, 8) | st.floats(43, 500), st.floats(0, 3000))
 def test_another_stone_s_pulse_is_flagged_and_nothing_else_changes(extent_mm: float, speed: float) -> None:
     record = record_of(measured(), pulse_width_ns(extent_mm, speed), speed)
-    assert record["gate_extent_is_plausible"] is False
-    assert record["outcome"] == "measured"
-    found = {key: value for key, value in record.items() if not key.startswith("gate_")}
-    assert found.items() <= record_of(measured(), None).items()
+    assert record.gate_extent_is_plausible is False
+    assert record.outcome == "measured"
+    found = {key: value for key, value in document_of(record).items() if not key.startswith("gate_")}
+    assert found.items() <= document_of(record_of(measured(), None)).items()
 
 
 def test_null_is_what_cannot_be_compared() -> None:
-    def gate(record: dict[str, Any]) -> tuple[float | None, bool | None]:
-        return record["gate_extent_mm"], record["gate_extent_is_plausible"]
+    def gate(record: Result) -> tuple[float | None, bool | None]:
+        return record.gate_extent_mm, record.gate_extent_is_plausible
 
     assert gate(record_of(measured(), None)) == (None, None)
     assert gate(record_of(REJECTED, None)) == (None, None)
@@ -137,7 +134,8 @@ def test_null_is_what_cannot_be_compared() -> None:
         trigger(1), bundle="b", reason="queue_full", detail="", calibration_id="0123", is_simulated=True
     )
     assert gate(lost) == (None, None)
-    assert list(lost) == list(record_of(measured(), 1)), "every record has the same fields in the same order"
+    fields = [list(document_of(each)) for each in (lost, record_of(measured(), 1))]
+    assert fields[0] == fields[1], "every record has the same fields in the same order"
 
 
 def test_every_shape_measure_reaches_the_record() -> None:

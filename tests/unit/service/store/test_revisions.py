@@ -134,7 +134,7 @@ async def test_stones_windows_and_lists_are_of_the_newest_revision(filled: Store
     assert await listed() == [3, 4, 1]  # in the order of the stones
     assert await listed(min_sieve_size_mm=11) == [4]
     assert await listed(max_sieve_size_mm=11) == [3, 1]
-    await revised(filled, 2, {**rejected("clipped"), "sieve_size_mm": None}, tmp_path / "again")
+    await revised(filled, 2, rejected("clipped"), tmp_path / "again")
     assert await listed(outcome="rejected") == [5]
     assert await listed(quality="good") == [3, 1]
     assert [each["seq"] for each in await filled.read(particles, ParticleFilter(), 2, 10)] == [1]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from support.eventually import PATIENCE_S
-from support.outcomes import add, measured, rejected, trigger
+from support.outcomes import add, measured, rejected, result, trigger
 from support.rest import particle_files
 from support.stores import folder_of
 
@@ -72,7 +72,7 @@ async def test_a_failed_write_changes_nothing_and_can_be_repeated(
 ) -> None:
     files = particle_files(tmp_path / "out")
     with pytest.raises(StoreError, match="CHECK constraint failed"):
-        await add(store, session, 1, {**measured(), "outcome": "odd"}, files)
+        await add(store, session, 1, measured().model_copy(update={"outcome": "odd"}), files)
     assert await seqs(store) == []
     assert (await store.read(accounting)).in_progress == 1
     assert await store.finish(session, "00000001", measured(), files) == 1
@@ -299,7 +299,7 @@ async def test_accounting_adds_up_and_counts_backgrounds_apart(store: Store, ses
     await add(store, session, 3, measured())
     await add(store, session, 4, measured(quality="reduced"))
     await add(store, session, 5, rejected("clipped"))
-    await add(store, session, 6, {"outcome": "lost", "reason": "queue_full"})
+    await add(store, session, 6, result(outcome="lost", reason="queue_full"))
     counts = await store.read(accounting)
     assert (counts.triggers, counts.measured, counts.rejected, counts.lost, counts.in_progress) == (
         5,
@@ -324,7 +324,7 @@ async def test_misuse_is_refused_by_name(store: Store, session: int) -> None:
         await store.record_triggers(session, {"b": trigger(2)})
     await store.record_triggers(session, {"c": trigger(3)})
     with pytest.raises(StoreError, match="CHECK"):
-        await store.finish(session, "c", measured(outcome="guessed"))
+        await store.finish(session, "c", measured().model_copy(update={"outcome": "guessed"}))
     with pytest.raises(ValueError, match="JSON"):
         await store.finish(session, "c", measured(volume_mm3=float("nan")))
     assert await seqs(store) == []
@@ -422,7 +422,9 @@ async def test_one_entry_with_a_number_counts_as_so_many_stones(store: Store, se
     (entry,) = (await store.read(results_after, 0, 10)).items
     assert (entry["seq"], entry["outcome"], entry["n_stones"]) == (1, "lost", MANY)
     assert Result.model_validate(entry, strict=True).n_stones == MANY
-    await store.finish(session, "late", {**lost_together(3), "bundle": "late"})  # without a row of its own
+    await store.finish(
+        session, "late", lost_together(3).model_copy(update={"bundle": "late"})
+    )  # without a row of its own
     assert await balance(store) == (MANY + 3, MANY + 3, 0)
     stones = await store.read(stones_between, "2000", "3000")
     assert sum(stones.lot.counts.values()) == MANY + 3
