@@ -3,13 +3,12 @@
 import json
 import sqlite3
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
 from typing import Any
 
 from pipeline.frames import GateCount
-from pipeline.gradation.indices import EN_933_3, MAX_CUBICAL, SHAPE_RANGE_MM
 from service.store.events import HistoryPage
 from service.store.particle_files import revision_folder
+from service.store.particle_filter import ParticleFilter, conditions_of
 
 Record = dict[str, Any]
 """A result as stored: the fields of `service.results.fields.Result`, and any other key."""
@@ -34,51 +33,6 @@ NEWEST = (
 """The newest revision of each result."""
 HAS_RESULT = "(lot IS NULL OR EXISTS (SELECT 1 FROM listed WHERE listed.seq = indexed_fields.seq))"
 """Rows of `indexed_fields` but those of stones in lots whose results were removed."""
-
-_SLOTS = " ".join(
-    f"WHEN sieve_size_mm > {each.low_mm} AND sieve_size_mm <= {each.high_mm} THEN {each.slot_mm}"
-    for each in EN_933_3
-)
-FLAKY = f"(min_feret_mm <= CASE {_SLOTS} END)"
-"""Whether a stone passes the slot of its own fraction; null outside of all fractions."""
-NON_CUBICAL = (
-    f"CASE WHEN sieve_size_mm BETWEEN {SHAPE_RANGE_MM[0]} AND {SHAPE_RANGE_MM[1]}"
-    f" THEN max_feret_mm > {MAX_CUBICAL} * min_feret_mm END"
-)
-"""Whether a stone is longer than three times its thickness; null outside of the range of the shape index."""
-
-
-def _if(condition: str, *, of_stones: bool = False) -> Any:
-    """Return a field for the value of an SQL condition on `indexed_fields`; balls never fit one `of_stones`."""
-    return field(
-        default=None, metadata={"sql": f"kind = 'particle' AND {condition}" if of_stones else condition}
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ParticleFilter:
-    """Conditions on the results to list; `None` is no condition. Sizes in mm, both bounds included."""
-
-    outcome: str | None = _if("outcome = ?")
-    quality: str | None = _if("quality = ?")
-    kind: str | None = _if("kind = ?")
-    min_sieve_size_mm: float | None = _if("sieve_size_mm >= ?")
-    max_sieve_size_mm: float | None = _if("sieve_size_mm <= ?")
-    since: str | None = _if("captured_at >= ?")  # as `pipeline.frames.rfc3339` writes it
-    until: str | None = _if("captured_at < ?")
-    lot: str | None = _if("lot = ?")
-    has_frames: bool | None = _if(
-        "(seq >= (SELECT first_raw FROM store) OR seq IN (SELECT seq FROM pins)) = ?"
-    )
-    """Whether raw frames may be kept: of one of the newest stones, or pinned."""
-    zingg_class: str | None = _if("zingg_class = ?", of_stones=True)
-    is_flaky: bool | None = _if(f"{FLAKY} = ?", of_stones=True)  # EN 933-3; neither outside of its fractions
-    is_non_cubical: bool | None = _if(f"{NON_CUBICAL} = ?", of_stones=True)  # EN 933-4, as above
-    min_volume_sd_percent: float | None = _if("volume_sd_percent >= ?", of_stones=True)
-    max_volume_sd_percent: float | None = _if("volume_sd_percent <= ?", of_stones=True)
-    quality_cause: str | None = _if("? IN (SELECT value FROM json_each(quality_causes))", of_stones=True)
-    algorithm_version: str | None = _if("algorithm_version = ?", of_stones=True)
-    body: str | None = _if("body = ?", of_stones=True)
 
 
 def open_triggers(
@@ -167,7 +121,7 @@ def particles(
     connection: sqlite3.Connection, wanted: ParticleFilter, before_seq: int | None, limit: int
 ) -> list[Record]:
     """Return the newest `limit` stones that fit and first came before `before_seq`, each in its newest revision."""
-    conditions = {each.metadata["sql"]: getattr(wanted, each.name) for each in fields(wanted)}
+    conditions = dict(conditions_of(wanted))
     conditions["seq < ?"] = before_seq
     given = {text: value for text, value in conditions.items() if value is not None}
     rows = connection.execute(

@@ -187,7 +187,7 @@ async def test_figures_are_those_of_the_open_lot_else_of_the_last_hour(
     await add(store, session, 4, rejected("empty"))  # which changes no curve
     await overview_of(client)
     assert (await overview_of(client))["figures"]["version"] == figures["version"]
-    await add(store, session, 5, {**STONE, "sieve_size_mm": 12.0, "volume_mm3": 900.0})
+    await add(store, session, 5, STONE.model_copy(update={"sieve_size_mm": 12.0, "volume_mm3": 900.0}))
     changed = await figures_when(client, lambda found: found["measured"] == 4)
     assert changed["version"] != figures["version"]
     await store.write(close_lot, "L1", None, "test")

@@ -175,7 +175,7 @@ def _todays_counts(connection: sqlite3.Connection, midnight: str, known: TodaysC
 
 
 def _newest(connection: sqlite3.Connection) -> tuple[OverviewStone, ...]:
-    records = particles(connection, ParticleFilter(kind=BundleKind.PARTICLE), None, N_NEWEST)
+    records = particles(connection, ParticleFilter(kind="particle"), None, N_NEWEST)
     return tuple(
         OverviewStone(
             seq=record["seq"],
