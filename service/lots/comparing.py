@@ -84,7 +84,7 @@ def compare_lots(connection: sqlite3.Connection, a: Side, b: Side, request: Requ
     record = find_lot(connection, a.lot)
     if record is None or find_lot(connection, b.lot) is None:
         return None
-    product = find_product(connection, record.product, record.version)
+    product = find_product(connection, record.product, record.product_version)
     stones = [stones_of_lot(connection, side.lot, side.choice) for side in (a, b)]
     found = [figures_of(each, request, product, record) for each in stones]
     is_paired = a.lot == b.lot

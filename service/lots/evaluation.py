@@ -28,7 +28,6 @@ from service.lots.figures import (
     Decision,
     FlatAndElongated,
     FlatAndElongatedFraction,
-    LotDocument,
     LotFigures,
     ProductDocument,
     Quantile,
@@ -37,7 +36,7 @@ from service.lots.figures import (
     Unmeasured,
 )
 from service.lots.laboratory import Correlation, correlations
-from service.lots.lots import LotRecord, find_lot
+from service.lots.lots import LotDocument, find_lot
 from service.lots.products import Product, find_product
 from service.lots.stored_stones import ALL_STONES, Choice, Stones, stones_between, stones_of_lot
 from service.lots.yardsticks import Request, Yardstick, standards, yardstick_of
@@ -57,7 +56,7 @@ def lot_figures(
     record = find_lot(connection, lot)
     if record is None:
         return None
-    product = find_product(connection, record.product, record.version)
+    product = find_product(connection, record.product, record.product_version)
     stones = stones_of_lot(connection, lot, choice)
     newest = next(iter(correlations(connection, record.product)), None)
     figures = figures_of(stones, request, product, record, stones_per_s(connection), newest)
@@ -100,23 +99,22 @@ def figures_of(
     stones: Stones,
     request: Request,
     product: Product | None = None,
-    record: LotRecord | None = None,
+    record: LotDocument | None = None,
     rate_per_s: float = 0.0,
     correlation: Correlation | None = None,
 ) -> LotFigures:
     """Return the figures of stones, with the verdict by the specification of their product or of the request."""
-    definition = None if product is None else product.definition
-    yardstick = yardstick_of(definition, request)
+    yardstick = yardstick_of(product, request)
     specification, apertures_mm = yardstick.specification, yardstick.apertures_mm
     scale_sd = LENGTH_SD_PERCENT / 100
     gradation = evaluate(stones.lot, apertures_mm, measured=yardstick.measured, scale_sd=scale_sd)
     judgement = None if specification is None else judge(specification, gradation)
-    upper_mm = None if definition is None else definition.upper_mm
+    upper_mm = None if product is None else product.upper_mm
     fates: Counter[Fate] = Counter()
     for (fate, _), n_stones in stones.lot.counts.items():
         fates[fate] += n_stones
     return LotFigures(
-        lot=None if record is None else lot_document(record),
+        lot=record,
         product=None if product is None else _product(product, specification),
         since=stones.since,
         until=stones.until,
@@ -127,7 +125,7 @@ def figures_of(
         by_quality={word: n for (fate, word), n in stones.lot.counts.items() if fate is Fate.MEASURED},
         by_body=stones.by_body,
         not_refined=stones.not_refined,
-        mass_kg=None if definition is None else gradation.volume_mm3 * 1e-9 * definition.density_kg_m3,
+        mass_kg=None if product is None else gradation.volume_mm3 * 1e-9 * product.density_kg_m3,
         n_effective=gradation.n_effective,
         sieve_set=yardstick.sieves.name,
         specification=None if specification is None else specification.name,
@@ -171,21 +169,6 @@ def countdown(judgement: LotJudgement, rate_per_s: float) -> str:
     )
 
 
-def lot_document(record: LotRecord) -> LotDocument:
-    """Return a lot as it is served."""
-    return LotDocument(
-        **asdict(record.definition),
-        state=record.state,
-        product=record.product,
-        product_version=record.version,
-        opened_at=record.opened_at,
-        closed_at=record.closed_at,
-        void_reason=record.void_reason,
-        revision=record.revision,
-        n_stones=record.n_stones,
-    )
-
-
 def _wait(judgement: Judgement, rate_per_s: float) -> str:
     if judgement.more_stones is None:
         return ""
@@ -197,8 +180,8 @@ def _product(product: Product, specification: Specification | None) -> ProductDo
     return ProductDocument(
         product=product.product,
         version=product.version,
-        title=product.definition.title,
-        density_kg_m3=product.definition.density_kg_m3,
+        title=product.title,
+        density_kg_m3=product.density_kg_m3,
         specification=None if specification is None else specification.name,
     )
 

@@ -11,7 +11,7 @@ from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.specification import Verdict
 from service.base.schema import TIME
 from service.base.status import Report
-from service.lots.lots import LotState
+from service.lots.lots import LotDocument
 
 
 class Range(Report):
@@ -135,30 +135,6 @@ class ProductDocument(Report):
     title: str = Field(description="Name of the product for people")
     density_kg_m3: float = Field(description="Density of the particles, EN 1097-6, kg/m³")
     specification: str | None = Field(description="Specification that it is judged by; null: none")
-
-
-class LotDocument(Report):
-    """A lot in the words of ISA-95."""
-
-    lot: str = Field(description="Material lot")
-    state: LotState = Field(description="`open`: takes what falls; `closed`; `void`: counts no more")
-    product: str = Field(description="Material definition")
-    product_version: int = Field(description="Version of the product that the lot was opened with")
-    equipment: str | None = Field(description="The crusher or belt that it comes from")
-    sublot: str | None = Field(description="Material sublot")
-    sample_id: str | None = Field(description="Id of the laboratory sample")
-    sampler: str | None = Field(description="Who took the sample")
-    tonnage_t: float | None = Field(description="Mass of the whole lot, t")
-    remark: str | None = Field(description="Whatever else the plant said of it")
-    opened_at: str = Field(description="When it was opened, RFC 3339 UTC", json_schema_extra=TIME)
-    closed_at: str | None = Field(
-        description="When it was closed or voided, RFC 3339 UTC; null while open", json_schema_extra=TIME
-    )
-    void_reason: str | None = Field(description="Why it counts no more; null unless void")
-    revision: int = Field(
-        description="0 while it is open; 1 when it is closed, and one more with each change after that"
-    )
-    n_stones: int = Field(description="Stones that fell, whatever became of them")
 
 
 class LotFigures(Report):

@@ -198,7 +198,7 @@ def study_of(connection: sqlite3.Connection, product: str, form: MappingForm) ->
     Raises `NothingToStudyError` if no lot has both stones and a sieving that tell a size.
     """
     names = [
-        each.definition.lot
+        each.lot
         for each in lots(connection, None, product, None, MOST_LOTS)
         if each.state is not LotState.VOID
     ]

@@ -2,17 +2,18 @@
 
 import json
 import sqlite3
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from enum import StrEnum
 from http import HTTPStatus
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from drivers.files.times import utc_now
 from service.base.errors import ProblemError, ProblemKind
 from service.base.ids import NEW_ID
-from service.base.schema import REQUEST, Name, Remark
+from service.base.schema import REQUEST, TIME, Name, Remark
+from service.base.status import Report
 from service.lots.products import find_product
 from service.store import audit
 from service.store.events import EventType, NewEvent, note_event
@@ -53,19 +54,28 @@ class LotDefinition:
     """Whatever else the plant says of it."""
 
 
-@dataclass(frozen=True, slots=True)
-class LotRecord:
-    """A lot, without the figures of its stones."""
+class LotDocument(Report):
+    """A lot in the words of ISA-95."""
 
-    definition: LotDefinition
-    state: LotState
-    product: str
-    version: int
-    opened_at: str
-    closed_at: str | None
-    void_reason: str | None
-    revision: int  # 0 while it is open, then 1, and one more whenever it is changed
-    n_stones: int  # that fell, with outcome
+    lot: str = Field(description="Material lot")
+    state: LotState = Field(description="`open`: takes what falls; `closed`; `void`: counts no more")
+    product: str = Field(description="Material definition")
+    product_version: int = Field(description="Version of the product that the lot was opened with")
+    equipment: str | None = Field(description="The crusher or belt that it comes from")
+    sublot: str | None = Field(description="Material sublot")
+    sample_id: str | None = Field(description="Id of the laboratory sample")
+    sampler: str | None = Field(description="Who took the sample")
+    tonnage_t: float | None = Field(description="Mass of the whole lot, t")
+    remark: str | None = Field(description="Whatever else the plant said of it")
+    opened_at: str = Field(description="When it was opened, RFC 3339 UTC", json_schema_extra=TIME)
+    closed_at: str | None = Field(
+        description="When it was closed or voided, RFC 3339 UTC; null while open", json_schema_extra=TIME
+    )
+    void_reason: str | None = Field(description="Why it counts no more; null unless void")
+    revision: int = Field(
+        description="0 while it is open; 1 when it is closed, and one more with each change after that"
+    )
+    n_stones: int = Field(description="Stones that fell, whatever became of them")
 
 
 class LotConflictError(ProblemError):
@@ -82,7 +92,7 @@ class UnknownProductError(ProblemError):
 
 def open_lot(
     connection: sqlite3.Connection, definition: LotDefinition, product: str, version: int | None, who: str
-) -> LotRecord:
+) -> LotDocument:
     """Open a lot of a product; what falls from now on is in it.
 
     The same lot opened again while it is open is returned as it is. Raises `LotConflictError` if another lot is open,
@@ -96,16 +106,16 @@ def open_lot(
             raise UnknownProductError(f"there is no product {name}")
         existing = find_lot(connection, definition.lot)
         if existing is not None:
-            same = (existing.definition, existing.product, existing.version)
+            same = (_definition(existing), existing.product, existing.product_version)
             if existing.state is LotState.OPEN and same == (definition, product, found.version):
                 return existing
             raise LotConflictError(f"lot {definition.lot} exists already and is {existing.state}")
         for alike in _lots(connection, "lot = ? COLLATE NOCASE", (definition.lot,), 1):
             raise LotConflictError(
-                f"lot {alike.definition.lot} differs by capital letters alone: its files would be the same"
+                f"lot {alike.lot} differs by capital letters alone: its files would be the same"
             )
         for other in _lots(connection, "state = 'open'", (), 1):
-            raise LotConflictError(f"lot {other.definition.lot} is open: close it first")
+            raise LotConflictError(f"lot {other.lot} is open: close it first")
         connection.execute(
             "INSERT INTO lots (lot, product, version, definition, opened_at, state) VALUES (?, ?, ?, ?, ?, 'open')",
             (definition.lot, product, found.version, json.dumps(asdict(definition)), utc_now()),
@@ -115,7 +125,7 @@ def open_lot(
 
 def close_lot(
     connection: sqlite3.Connection, lot: str, tonnage_t: float | None, who: str
-) -> LotRecord | None:
+) -> LotDocument | None:
     """Close a lot; what fell until now stays in it. A closed one is returned as it is; None if there is none."""
     with transaction(connection):
         before = find_lot(connection, lot)
@@ -123,7 +133,7 @@ def close_lot(
             return before
         if before.state is LotState.VOID:
             raise LotConflictError(f"lot {lot} is void")
-        definition = before.definition
+        definition = _definition(before)
         if tonnage_t is not None:
             definition = replace(definition, tonnage_t=tonnage_t)
         connection.execute(
@@ -133,7 +143,7 @@ def close_lot(
         return _noted(connection, lot, who, "lot closed", before, EventType.LOT_CLOSED)
 
 
-def void_lot(connection: sqlite3.Connection, lot: str, reason: str, who: str) -> LotRecord | None:
+def void_lot(connection: sqlite3.Connection, lot: str, reason: str, who: str) -> LotDocument | None:
     """Declare a lot void: its figures count no more, and are kept. None if there is none."""
     with transaction(connection):
         before = find_lot(connection, lot)
@@ -149,7 +159,7 @@ def void_lot(connection: sqlite3.Connection, lot: str, reason: str, who: str) ->
 
 def assign(
     connection: sqlite3.Connection, lot: str, since: str, until: str, who: str
-) -> tuple[LotRecord, int] | None:
+) -> tuple[LotDocument, int] | None:
     """Put what fell from `since` to before `until` outside of any lot into this one; return it, and how many these are.
 
     Stones of another lot stay there. None if there is no such lot.
@@ -187,13 +197,13 @@ def note_revised(connection: sqlite3.Connection, lot: str) -> None:
         _note_event(connection, EventType.LOT_REVISED, _existing(connection, lot))
 
 
-def find_lot(connection: sqlite3.Connection, lot: str) -> LotRecord | None:
+def find_lot(connection: sqlite3.Connection, lot: str) -> LotDocument | None:
     """Return a lot, None if there is none."""
     found = _lots(connection, "lot = ?", (lot,), 1)
     return found[0] if found else None
 
 
-def lots_of_sample(connection: sqlite3.Connection, sample_id: str) -> list[LotRecord]:
+def lots_of_sample(connection: sqlite3.Connection, sample_id: str) -> list[LotDocument]:
     """Return the lots with this sample id, oldest first."""
     return _lots(connection, "definition ->> 'sample_id' = ?", (sample_id,), MOST_RUNS)[::-1]
 
@@ -204,7 +214,7 @@ def lots(
     product: str | None,
     before: str | None,
     limit: int,
-) -> list[LotRecord]:
+) -> list[LotDocument]:
     """Return up to `limit` lots that fit, opened before a time, newest first."""
     conditions = {"state = ?": state, "product = ?": product, "opened_at < ?": before}
     given = {text: value for text, value in conditions.items() if value is not None}
@@ -213,20 +223,33 @@ def lots(
 
 def _lots(
     connection: sqlite3.Connection, condition: str, values: tuple[object, ...], limit: int
-) -> list[LotRecord]:
+) -> list[LotDocument]:
     rows = connection.execute(
-        "SELECT definition, state, product, version, opened_at, closed_at, void_reason, revision,"  # noqa: S608 - of this module
-        " (SELECT coalesce(sum(n_stones), 0) FROM stones WHERE stones.lot = lots.lot)"
+        "SELECT definition, state, product, version AS product_version, opened_at, closed_at, void_reason, revision,"  # noqa: S608 - of this module
+        " (SELECT coalesce(sum(n_stones), 0) FROM stones WHERE stones.lot = lots.lot) AS n_stones"
         f" FROM lots WHERE {condition} ORDER BY opened_at DESC, lot LIMIT ?",
         (*values, limit),
     )
+    _, *names = (column for column, *_ in rows.description)
     return [
-        LotRecord(LotDefinition(**json.loads(definition)), LotState(state), *others)
-        for definition, state, *others in rows
+        LotDocument(
+            **asdict(LotDefinition(**json.loads(definition))), **dict(zip(names, others, strict=True))
+        )
+        for definition, *others in rows
     ]
 
 
-def _existing(connection: sqlite3.Connection, lot: str) -> LotRecord:
+def _definition(lot: LotDocument) -> LotDefinition:
+    return LotDefinition(**{each.name: getattr(lot, each.name) for each in fields(LotDefinition)})
+
+
+def facts_of(lot: LotDocument) -> dict[str, Any]:
+    """Return a lot as the audit and the events have it."""
+    facts = lot.model_dump()
+    return facts | {"version": facts.pop("product_version")}
+
+
+def _existing(connection: sqlite3.Connection, lot: str) -> LotDocument:
     found = find_lot(connection, lot)
     if found is None:
         raise KeyError(lot)
@@ -238,18 +261,23 @@ def _noted(
     lot: str,
     who: str,
     action: str,
-    before: LotRecord | None,
+    before: LotDocument | None,
     event: EventType,
-) -> LotRecord:
+) -> LotDocument:
     """Note a change of a lot in the audit and among the events, and return the lot as it is now."""
     after = _existing(connection, lot)
-    facts = None if before is None else asdict(before)
-    audit.note(connection, who, action, lot, before=facts, after=asdict(after))
+    facts = None if before is None else _audited(before)
+    audit.note(connection, who, action, lot, before=facts, after=_audited(after))
     _note_event(connection, event, after)
     return after
 
 
-def _note_event(connection: sqlite3.Connection, event: EventType, lot: LotRecord) -> None:
-    facts = asdict(lot)
-    data = facts.pop("definition") | facts
-    note_event(connection, NewEvent(type=event, subject=lot.definition.lot, data=data))
+def _audited(lot: LotDocument) -> dict[str, Any]:
+    """Return a lot as the audit has it: what the plant says of it is a part of its own."""
+    definition = asdict(_definition(lot))
+    facts = {name: value for name, value in facts_of(lot).items() if name not in definition}
+    return {"definition": definition, **facts}
+
+
+def _note_event(connection: sqlite3.Connection, event: EventType, lot: LotDocument) -> None:
+    note_event(connection, NewEvent(type=event, subject=lot.lot, data=facts_of(lot)))

@@ -11,7 +11,7 @@ from service.base.errors import ProblemError, ProblemKind
 from service.base.schema import ANSWER
 from service.lots.evaluation import figures_of
 from service.lots.figures import named_figures
-from service.lots.lots import LotRecord, LotState, lots_of_sample
+from service.lots.lots import LotDocument, LotState, lots_of_sample
 from service.lots.products import find_product
 from service.lots.stored_stones import stones_of_lot
 from service.lots.yardsticks import Request
@@ -73,8 +73,8 @@ def sample_study(
     if not records:
         return None
     newest = records[-1]
-    product = find_product(connection, newest.product, newest.version)
-    runs = [Run(lot=each.definition.lot, group=_group(each, conditions)) for each in records]
+    product = find_product(connection, newest.product, newest.product_version)
+    runs = [Run(lot=each.lot, group=_group(each, conditions)) for each in records]
     figures_of_runs = [
         named_figures(figures_of(stones_of_lot(connection, run.lot), request, product)) for run in runs
     ]
@@ -94,15 +94,14 @@ def sample_study(
     return SampleStudy(
         sample_id=sample_id,
         product=newest.product,
-        product_version=newest.version,
+        product_version=newest.product_version,
         runs=runs,
         figures=figures,
     )
 
 
-def _group(record: LotRecord, conditions: Conditions) -> str:
+def _group(record: LotDocument, conditions: Conditions) -> str:
     if conditions is Conditions.DAY:
         return record.opened_at[:10]
-    definition = record.definition
-    said = definition.sampler if conditions is Conditions.SAMPLER else definition.equipment
-    return said or f"unknown, {definition.lot}"  # may equal no other
+    said = record.sampler if conditions is Conditions.SAMPLER else record.equipment
+    return said or f"unknown, {record.lot}"  # may equal no other

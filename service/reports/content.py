@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 from pipeline.gradation.specification import Verdict
-from service.lots.figures import Decision, LotDocument
-from service.lots.lots import LotState
+from service.lots.figures import Decision
+from service.lots.lots import LotDocument, LotState
 from service.reports.document import DASH, Document, Section, Signatures, facts
 from service.reports.evidence import accounting, calibration, gallery, uncertainty, versions
 from service.reports.report import ReportData

@@ -16,7 +16,6 @@ from service.lots.figures import (
     Decision,
     FlatAndElongated,
     FlatAndElongatedFraction,
-    LotDocument,
     LotFigures,
     ProductDocument,
     Quantile,
@@ -25,7 +24,7 @@ from service.lots.figures import (
     Unmeasured,
 )
 from service.lots.laboratory import Sieving, StoredSieving
-from service.lots.lots import LotState
+from service.lots.lots import LotDocument, LotState
 from service.reports.report import (
     GalleryReason,
     GalleryStone,

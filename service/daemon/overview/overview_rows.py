@@ -197,9 +197,9 @@ def _open_lot(connection: sqlite3.Connection) -> OverviewLot | None:
     if not found:
         return None
     (lot,) = found
-    product = find_product(connection, lot.product, lot.version)
+    product = find_product(connection, lot.product, lot.product_version)
     return OverviewLot(
-        lot=lot.definition.lot,
+        lot=lot.lot,
         product=lot.product,
         title=lot.product if product is None else product.definition.title,
         opened_at=lot.opened_at,

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from service.calibration.verifications import VerificationRequest
-from service.lots.figures import LotDocument
+from service.lots.lots import LotDocument
 from service.lots.products import ProductDefinition
 from service.lots.routes.laboratory import SievingRequest
 from service.lots.routes.lots import AssignRequest, CloseRequest, LotRequest, VoidRequest

@@ -13,7 +13,7 @@ from service.calibration.verifications import Verification
 from service.delivery.message import TEST
 from service.health.routes.alarms import AlarmDocument
 from service.health.routes.health import HealthDocument
-from service.lots.figures import LotDocument
+from service.lots.lots import LotDocument
 from service.lots.trends.diary import DiaryEntry
 from service.store.events import EventType
 from service.web.openapi_parts import header_references

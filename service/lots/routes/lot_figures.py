@@ -118,9 +118,8 @@ async def particles_behind_step(
     Behind a step are the stones that pass this sieve and not the next smaller one of the set.
     """
     record = existing(await context.store.read(find_lot, lot), "lot", lot)
-    product = await context.store.read(find_product, record.product, record.version)
-    definition = None if product is None else product.definition
-    apertures_mm = yardstick_of(definition, measuring).apertures_mm
+    product = await context.store.read(find_product, record.product, record.product_version)
+    apertures_mm = yardstick_of(product, measuring).apertures_mm
     above_mm = max((each for each in apertures_mm if sieve is not None and each < sieve), default=0.0)
     up_to_mm = inf if sieve is None else sieve
     items = await context.store.read(stones_behind, lot, above_mm, up_to_mm, limit)

@@ -3,7 +3,7 @@
 import re
 import sqlite3
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Response
@@ -12,15 +12,14 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.base.ids import ID
 from service.base.schema import REQUEST, TIME, GivenTime, adds_to
-from service.lots.evaluation import lot_document
-from service.lots.figures import LotDocument
 from service.lots.lots import (
     LotDefinition,
-    LotRecord,
+    LotDocument,
     LotState,
     Tonnage,
     assign,
     close_lot,
+    facts_of,
     find_lot,
     lots,
     open_lot,
@@ -127,7 +126,7 @@ async def list_lots(
 ) -> LotsPage:
     """List the lots, newest first."""
     found = await context.store.read(lots, state, product, before, limit + 1)
-    items = [lot_document(each) for each in found[:limit]]
+    items = found[:limit]
     return LotsPage(items=items, next_before=items[-1].opened_at if len(found) > limit else None)
 
 
@@ -172,30 +171,30 @@ async def post_assign(context: Context, lot: LotName, wanted: AssignRequest, ask
     context.store.require_writable()
     done = await context.store.write(assign, lot, wanted.since, wanted.until, asking)
     record, n_assigned = existing(done, "lot", lot)
-    return Assigned(lot=lot_document(record), n_assigned=n_assigned)
+    return Assigned(lot=record, n_assigned=n_assigned)
 
 
-def _served(response: Response, record: LotRecord) -> LotDocument:
+def _served(response: Response, record: LotDocument) -> LotDocument:
     response.headers["ETag"] = _tag(record)
-    return lot_document(record)
+    return record
 
 
-def _tag(record: LotRecord) -> str:
+def _tag(record: LotDocument) -> str:
     """Return the version of a lot: what the plant says of it, and how many stones it has."""
     return f'{_tag_of_facts(record)[:-1]}-{record.n_stones}"'
 
 
-def _tag_of_facts(record: LotRecord) -> str:
-    return etag(asdict(replace(record, n_stones=0)))
+def _tag_of_facts(record: LotDocument) -> str:
+    return etag(facts_of(record) | {"n_stones": 0})
 
 
 async def _changed(
     context: ApiContext,
     lot: str,
     if_match: str | None,
-    change: Callable[..., LotRecord | None],
+    change: Callable[..., LotDocument | None],
     *given: object,
-) -> LotRecord:
+) -> LotDocument:
     """Return the lot after a change; for `If-Match`, stones that fell meanwhile are no change."""
 
     def version(connection: sqlite3.Connection) -> str:
