@@ -22,7 +22,7 @@ from service.commands.results_folder import read_results
 from service.lots.comparing import ComparedFigure, compared_figures
 from service.lots.evaluation import figures_of
 from service.lots.stone_changes import Group, Records, StoneChanges, beyond_limits, stone_changes
-from service.lots.stored_stones import stones_in
+from service.lots.stones import stones_in
 from service.lots.yardsticks import Request, UnknownYardstickError
 from service.results.version import CHANGES
 

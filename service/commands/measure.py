@@ -39,8 +39,7 @@ from service.configuration.segmentation_settings import SegmentationSettings, pl
 from service.configuration.settings import load_settings
 from service.lots.evaluation import figures_of
 from service.lots.standards import read_standards
-from service.lots.stones import lot_of_records
-from service.lots.stored_stones import stones_in
+from service.lots.stones import lot_of_records, stones_in
 from service.lots.yardsticks import Request
 from service.processing.measure_job import RigFile, WorkerContext
 from service.processing.segmenters import SegmenterPlan

@@ -15,7 +15,7 @@ from service.commands.options import with_options
 from service.commands.results_folder import read_results
 from service.lots.evaluation import figures_of
 from service.lots.products import Product
-from service.lots.stored_stones import stones_in
+from service.lots.stones import stones_in
 from service.lots.yardsticks import Request, UnknownYardstickError
 from service.reports.render import render
 from service.reports.report import ReportData, ReportFormat

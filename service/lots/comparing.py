@@ -17,7 +17,7 @@ from service.lots.evaluation import figures_of
 from service.lots.figures import SHARES, LotFigures, named_figures
 from service.lots.lots import find_lot
 from service.lots.products import find_product
-from service.lots.stored_stones import ALL_STONES, Choice, Stones, stones_of_lot
+from service.lots.stones import ALL_STONES, Choice, Stones, stones_of_lot
 from service.lots.yardsticks import Request
 
 

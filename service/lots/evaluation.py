@@ -38,7 +38,7 @@ from service.lots.figures import (
 from service.lots.laboratory import Correlation, correlations
 from service.lots.lots import LotDocument, find_lot
 from service.lots.products import Product, find_product
-from service.lots.stored_stones import ALL_STONES, Choice, Stones, stones_between, stones_of_lot
+from service.lots.stones import ALL_STONES, Choice, Stones, stones_between, stones_of_lot
 from service.lots.yardsticks import Request, Yardstick, standards, yardstick_of
 
 LEAST_PORTIONS = "en-933-1"

@@ -14,7 +14,7 @@ from drivers.files.times import utc_now
 from pipeline.gradation.correlation import MappingForm, SievedLot, Study, study
 from service.base.errors import InvalidRequestError, ProblemError, ProblemKind, TooManyError
 from service.lots.lots import LotState, lots
-from service.lots.stored_stones import stones_of_lot
+from service.lots.stones import stones_of_lot
 from service.store import audit
 from service.store.schema import transaction
 

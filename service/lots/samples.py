@@ -13,7 +13,7 @@ from service.lots.evaluation import figures_of
 from service.lots.figures import named_figures
 from service.lots.lots import LotDocument, LotState, lots_of_sample
 from service.lots.products import find_product
-from service.lots.stored_stones import stones_of_lot
+from service.lots.stones import stones_of_lot
 from service.lots.yardsticks import Request
 
 

@@ -21,32 +21,15 @@ class Group(StrEnum):
     SHAPE = "shape"
 
 
-@dataclass(frozen=True, slots=True)
-class ComparedField:
-    """A figure of a stone, and whether its change counts relative to what it was."""
-
-    name: str
-    group: Group
-    is_relative: bool = False
-
-    @property
-    def unit(self) -> str:
-        """Unit of its changes."""
-        return "%" if self.is_relative else "mm" if self.name.endswith("_mm") else ""
-
-
-FIELDS = (
-    ComparedField("volume_mm3", Group.VOLUME, is_relative=True),
-    ComparedField("sieve_size_mm", Group.SIEVE),
-    *(
-        ComparedField(name, Group.AXES)
-        for name in ("length_mm", "width_mm", "thickness_mm", "max_feret_mm", "min_feret_mm")
+FIELDS = {
+    "volume_mm3": Group.VOLUME,
+    "sieve_size_mm": Group.SIEVE,
+    **dict.fromkeys(("length_mm", "width_mm", "thickness_mm", "max_feret_mm", "min_feret_mm"), Group.AXES),
+    **dict.fromkeys(
+        ("sphericity", "convexity", "elongation_ratio", "flatness_ratio", "krumbein", "corey"), Group.SHAPE
     ),
-    *(
-        ComparedField(name, Group.SHAPE)
-        for name in ("sphericity", "convexity", "elongation_ratio", "flatness_ratio", "krumbein", "corey")
-    ),
-)
+}
+"""Figures of a stone; the change of a volume counts relative to what it was."""
 N_LARGEST = 5
 """Stones that are named for each figure, those that it changed most for."""
 
@@ -117,7 +100,7 @@ def stone_changes(before: Records, after: Records) -> StoneChanges:
             for name in common
             if before[name][field] != after[name][field]
         ],
-        fields=[_changes(field, measured, before, after) for field in FIELDS],
+        fields=[_changes(field, group, measured, before, after) for field, group in FIELDS.items()],
     )
 
 
@@ -133,18 +116,19 @@ def beyond_limits(changes: StoneChanges, limits: Mapping[Group, float]) -> list[
     ]
 
 
-def _changes(field: ComparedField, names: Sequence[str], before: Records, after: Records) -> FieldChanges:
+def _changes(field: str, group: Group, names: Sequence[str], before: Records, after: Records) -> FieldChanges:
     """Return the changes of one figure, without stones that lack it on a side: an old version may measure less."""
+    is_relative = group is Group.VOLUME
     found = [
-        StoneChange(name, old, new, 100 * (new - old) / old if field.is_relative else new - old)
+        StoneChange(name, old, new, 100 * (new - old) / old if is_relative else new - old)
         for name in names
-        if (old := before[name][field.name]) is not None and (new := after[name][field.name]) is not None
+        if (old := before[name][field]) is not None and (new := after[name][field]) is not None
     ]
     n_stones = len(found)
     return FieldChanges(
-        field=field.name,
-        group=field.group,
-        unit=field.unit,
+        field=field,
+        group=group,
+        unit="%" if is_relative else "mm" if field.endswith("_mm") else "",
         n_stones=n_stones,
         n_changed=sum(each.before != each.after for each in found),
         mean=sum(each.change for each in found) / max(n_stones, 1),

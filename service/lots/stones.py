@@ -1,13 +1,22 @@
-"""Read the stones of a lot from the records of results."""
+"""The stones of a lot, or of a time, as the gradation takes them, from the records of results."""
 
+import json
+import sqlite3
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from math import sqrt
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from pipeline.frames import BundleKind
 from pipeline.gradation.stones import DEVIATIONS, MEASURES, Fate, Lot, Stone, UnmeasuredStone, lot_of
+from service.base.errors import InvalidRequestError
+from service.base.schema import ANSWER, Time
+from service.results.fields import INDEXED_FIELDS
+from service.results.refinement import why_not_refined
 
 SURFACES = sqrt(2.0)
 """Standard deviation of a distance between two surfaces by that of one: their errors are taken for independent."""
@@ -15,6 +24,186 @@ SIZES = tuple(name for name in MEASURES if name not in DEVIATIONS)
 """Fields that every measured stone has."""
 MEASURED_COLUMNS = (*SIZES, "volume_sd_percent", "surface_sd_mm")
 """Fields of a measured stone that a gradation needs, in the order of `lot_of_columns`."""
+COLUMNS = ("id", "n_stones", *INDEXED_FIELDS)
+SIZES_OF = itemgetter(*SIZES)
+BODY = itemgetter("body", "refinement_fallback")
+
+
+class UnknownChoiceError(InvalidRequestError):
+    """The lot has no such stones to leave out or to choose; names the field and what is not there."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """A choice of a lot's stones and revisions: by default all, each in its newest revision."""
+
+    without: tuple[str, ...] = ()  # ids of stones that are left out
+    algorithm_version: str | None = None  # of each stone the newest revision by this version
+
+
+ALL_STONES = Choice()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stones:
+    """Stones with what is known of them together."""
+
+    lot: Lot
+    measured_ids: Sequence[str]  # of the measured ones, in their order; empty texts where records have none
+    by_body: Mapping[str, int]  # how many of the measured ones, as far as it is known
+    not_refined: Mapping[str, int]  # how many of the estimates among them, by `NotRefined`
+    since: str | None  # captured, the first of them
+    until: str | None  # the last
+    calibration_ids: tuple[str, ...]
+    algorithm_versions: tuple[str, ...]
+    is_simulated: bool  # one of them at least
+    is_replay: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoneBehindStep:
+    """A stone between two neighbouring sieves of the curve."""
+
+    __pydantic_config__ = ANSWER
+
+    seq: int
+    """`seq` of the result."""
+    id: str
+    """`id` of the result."""
+    captured_at: Time
+    """When the stone was exposed, RFC 3339 UTC."""
+    quality: str
+    """How far from the truth the result may be: `good`, `reduced` or `degraded`."""
+    sieve_size_mm: float
+    """Smallest square aperture the body passes (EN 933-2 square holes), mm."""
+    volume_mm3: float
+    """Corrected volume, mm³."""
+    influence_percent: float
+    """Its share of the lot's mass."""
+
+
+def stones_of_lot(connection: sqlite3.Connection, lot: str, choice: Choice = ALL_STONES) -> Stones:
+    """Return the stones of a lot, or a choice of them.
+
+    Raises `UnknownChoiceError` if a stone to leave out is not in the lot, or none was measured by the version.
+    """
+    if choice.algorithm_version is None:
+        records = _rows(connection, "lot = ?", lot)
+    else:
+        records = _by_version(connection, lot, choice.algorithm_version)
+    return stones_in(_without(records, lot, choice.without))
+
+
+def versions_of_lot(connection: sqlite3.Connection, lot: str) -> dict[str, int]:
+    """Return the number of stones of a lot by each algorithm version that measured them, as far as results are kept."""
+    rows = connection.execute(
+        "SELECT version, count(DISTINCT first) FROM ("
+        "SELECT seq AS first, algorithm_version AS version FROM stones WHERE lot = ?1 UNION ALL "
+        "SELECT stones.seq, results.record ->> 'algorithm_version' FROM stones JOIN revised ON first = stones.seq"
+        " JOIN results ON results.seq = stones.seq WHERE lot = ?1 UNION ALL "
+        "SELECT stones.seq, revisions.record ->> 'algorithm_version' FROM stones JOIN revisions ON first = stones.seq"
+        " WHERE lot = ?1) WHERE version IS NOT NULL GROUP BY version ORDER BY version",
+        (lot,),
+    )
+    return dict(rows.fetchall())
+
+
+def stones_between(connection: sqlite3.Connection, since: str, until: str) -> Stones:
+    """Return the stones captured from `since` to before `until`, of any lot."""
+    return stones_in(_rows(connection, "captured_at >= ? AND captured_at < ?", since, until))
+
+
+def stones_behind(
+    connection: sqlite3.Connection, lot: str, above_mm: float, up_to_mm: float, limit: int
+) -> list[StoneBehindStep]:
+    """Return the stones of a lot that pass one sieve and not the next smaller one, the heaviest first."""
+    (total_mm3,) = connection.execute(
+        "SELECT total(volume_mm3) FROM stones WHERE lot = ? AND outcome = 'measured'", (lot,)
+    ).fetchone()
+    rows = connection.execute(
+        "SELECT seq, id, captured_at, quality, sieve_size_mm, volume_mm3 FROM stones WHERE lot = ?"
+        " AND outcome = 'measured' AND sieve_size_mm > ? AND sieve_size_mm <= ?"
+        " ORDER BY volume_mm3 DESC, seq LIMIT ?",
+        (lot, above_mm, up_to_mm, limit),
+    )
+    names = [column for column, *_ in rows.description]
+    found = [dict(zip(names, row, strict=True)) for row in rows]
+    return [StoneBehindStep(**each, influence_percent=100 * each["volume_mm3"] / total_mm3) for each in found]
+
+
+def _rows(connection: sqlite3.Connection, condition: str, *values: str) -> list[dict[str, Any]]:
+    query = connection.execute(
+        f"SELECT {', '.join(COLUMNS)} FROM stones WHERE {condition} ORDER BY seq",  # noqa: S608 - of this module
+        values,
+    )
+    return [dict(zip(COLUMNS, row, strict=True)) for row in query]
+
+
+def _by_version(connection: sqlite3.Connection, lot: str, version: str) -> list[dict[str, Any]]:
+    """Return the rows of the stones that a version has measured; only the records of the others are looked into."""
+    earlier = connection.execute(
+        "SELECT record FROM ("
+        "SELECT stones.seq AS first, 1 AS revision, results.record FROM stones"
+        " JOIN revised ON first = stones.seq JOIN results ON results.seq = stones.seq"
+        " WHERE lot = ?1 AND stones.algorithm_version IS NOT ?2 UNION ALL "
+        "SELECT stones.seq, revision, revisions.record FROM stones JOIN revisions ON first = stones.seq"
+        " WHERE lot = ?1 AND stones.algorithm_version IS NOT ?2)"
+        " WHERE record ->> 'algorithm_version' = ?2 ORDER BY first, revision",
+        (lot, version),
+    )
+    newest: dict[str, dict[str, Any]] = {}
+    for (text,) in earlier:
+        record = json.loads(text)
+        newest[record["id"]] = {name: record.get(name) for name in COLUMNS}
+    records = [*_rows(connection, "lot = ? AND algorithm_version = ?", lot, version), *newest.values()]
+    if not records:
+        known = ", ".join(versions_of_lot(connection, lot)) or "none"
+        raise UnknownChoiceError(
+            f"algorithm_version: no stone of lot {lot} was measured by {version!r}; there are {known}"
+        )
+    return records
+
+
+def _without(records: list[dict[str, Any]], lot: str, left_out: Sequence[str]) -> list[dict[str, Any]]:
+    missing = set(left_out) - {record["id"] for record in records}
+    if missing:
+        raise UnknownChoiceError(f"without: lot {lot} has no stone {', '.join(sorted(missing))}")
+    return [record for record in records if record["id"] not in left_out]
+
+
+def stones_in(records: Sequence[Mapping[str, Any]]) -> Stones:
+    """Return the stones of records, or of rows with the same names; balls are none."""
+    records = [record for record in records if record.get("kind") != BundleKind.BALL]
+    times = [record["captured_at"] for record in records if record["captured_at"] is not None]
+    incomplete = UnmeasuredStone(fate=Fate.REJECTED, reason="incomplete")  # of a version that measured less
+    stones = [
+        incomplete if record["outcome"] == Fate.MEASURED and None in SIZES_OF(record) else stone_of(record)
+        for record in records
+    ]
+    measured = [record for record, stone in zip(records, stones, strict=True) if isinstance(stone, Stone)]
+    by_body: Counter[str] = Counter()
+    whys: Counter[str] = Counter()
+    for (body, fallback), n_stones in Counter(map(BODY, measured)).items():
+        if body is not None:
+            by_body[body] += n_stones
+        if body == "estimate" and fallback is not None:
+            whys[why_not_refined(fallback)] += n_stones
+    return Stones(
+        lot=lot_of(stones),
+        measured_ids=[record.get("id", "") for record in measured],
+        by_body=dict(by_body.most_common()),
+        not_refined=dict(whys.most_common()),
+        since=min(times, default=None),
+        until=max(times, default=None),
+        calibration_ids=_different(records, "calibration_id"),
+        algorithm_versions=_different(records, "algorithm_version"),
+        is_simulated=any(record["is_simulated"] for record in records),
+        is_replay=any(record.get("is_replay") for record in records),
+    )
+
+
+def _different(records: Iterable[Mapping[str, Any]], field: str) -> tuple[str, ...]:
+    return tuple(sorted({record[field] for record in records if record[field] is not None}))
 
 
 def stone_of(record: Mapping[str, Any]) -> Stone | UnmeasuredStone:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from service.base.language import Language
 from service.lots.evaluation import lot_figures, passing_of, window_figures
 from service.lots.figures import LotFigures
-from service.lots.stored_stones import ALL_STONES, Choice, stones_of_lot
+from service.lots.stones import ALL_STONES, Choice, stones_of_lot
 from service.lots.yardsticks import Request
 from service.reports.curve import Beside, curve_svg
 from service.reports.words import lot_name

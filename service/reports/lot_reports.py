@@ -2,6 +2,7 @@
 
 import sqlite3
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -92,33 +93,30 @@ def _gallery(
     if limits_mm:
         first = f"min({nearest})" if len(limits_mm) > 1 else nearest
         orders[GalleryReason.NEAREST_LIMIT] = (first, NEAREST)
-    reasons: dict[int, list[GalleryReason]] = {}
+    reasons: dict[tuple[int, str, float, float, str], list[GalleryReason]] = {}
     for reason, (order, n_stones) in orders.items():
         rows = connection.execute(
-            f"SELECT seq FROM stones WHERE lot = ? AND outcome = 'measured' ORDER BY {order}, seq LIMIT ?",  # noqa: S608 - of this module and numbers
+            "SELECT seq, id, sieve_size_mm, volume_mm3, quality FROM stones"  # noqa: S608 - of this module and numbers
+            f" WHERE lot = ? AND outcome = 'measured' ORDER BY {order}, seq LIMIT ?",
             (lot, n_stones),
         )
-        for (seq,) in rows:
-            reasons.setdefault(seq, []).append(reason)
-    return [_stone(connection, particles_dir, seq, why) for seq, why in reasons.items()]
+        for row in rows:
+            reasons.setdefault(row, []).append(reason)
+    return [
+        GalleryStone(
+            id=name,
+            reasons=why,
+            sieve_size_mm=size_mm,
+            volume_mm3=volume_mm3,
+            quality=quality,
+            preview_png=_preview(connection, particles_dir, seq),
+        )
+        for (seq, name, size_mm, volume_mm3, quality), why in reasons.items()
+    ]
 
 
-def _stone(
-    connection: sqlite3.Connection, particles_dir: Path, seq: int, reasons: Sequence[GalleryReason]
-) -> GalleryStone:
-    name, size_mm, volume_mm3, quality = connection.execute(
-        "SELECT id, sieve_size_mm, volume_mm3, quality FROM stones WHERE seq = ?", (seq,)
-    ).fetchone()
-    try:
-        folder = newest_folder(connection, seq)
-        png = None if folder is None else preview_png(path_of(particles_dir, folder))
-    except NotKeptError:
-        png = None
-    return GalleryStone(
-        id=name,
-        reasons=reasons,
-        sieve_size_mm=size_mm,
-        volume_mm3=volume_mm3,
-        quality=quality,
-        preview_png=png,
-    )
+def _preview(connection: sqlite3.Connection, particles_dir: Path, seq: int) -> bytes | None:
+    folder = newest_folder(connection, seq)
+    with suppress(NotKeptError):
+        return None if folder is None else preview_png(path_of(particles_dir, folder))
+    return None

@@ -3,8 +3,7 @@
 from collections.abc import Callable, Mapping
 
 from service.reports.csv_file import render_csv
-from service.reports.html import render_html
-from service.reports.pdf import render_pdf
+from service.reports.printed import render_html, render_pdf
 from service.reports.report import ReportData, ReportFormat
 from service.reports.workbook import render_xlsx
 

@@ -12,7 +12,7 @@ from service.lots.lots import find_lot
 from service.lots.products import find_product
 from service.lots.routes.lots import LotName
 from service.lots.shifts import LotsSettings
-from service.lots.stored_stones import Choice, StoneBehindStep, stones_behind, versions_of_lot
+from service.lots.stones import Choice, StoneBehindStep, stones_behind, versions_of_lot
 from service.lots.yardsticks import Request, yardstick_of
 from service.store import read
 from service.web.auth import READABLE

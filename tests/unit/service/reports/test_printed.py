@@ -29,8 +29,7 @@ from service.lots.figures import Unmeasured
 from service.lots.lots import LotState
 from service.reports.content import document_of
 from service.reports.document import NamesAndValues
-from service.reports.html import render_html
-from service.reports.pdf import DEJAVU, render_pdf
+from service.reports.printed import DEJAVU, render_html, render_pdf
 from service.reports.render import render
 from service.reports.report import (
     GalleryReason,

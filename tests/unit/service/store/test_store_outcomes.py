@@ -18,7 +18,7 @@ from support.stores import folder_of
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind, GateCount, rfc3339
 from service.base.errors import StoreError
-from service.lots.stored_stones import stones_between
+from service.lots.stones import stones_between
 from service.results.fields import LossReason, Result
 from service.results.record import lost_record
 from service.results.version import ALGORITHM_VERSION

@@ -1,29 +1,64 @@
-"""The report as PDF on A4, set by typst from one template and the report as JSON."""
+"""The report as one HTML file and as PDF on A4: each a template that is given the document."""
 
 import json
+from base64 import b64encode
 from contextlib import suppress
 from dataclasses import fields
 from datetime import datetime
-from functools import partial
+from functools import cache, partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import typst
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+from markupsafe import Markup
+from PIL import Image
 
 from service.base.language import Language
 from service.reports.content import document_of
 from service.reports.document import NamesAndValues
 from service.reports.drawing import Drawing, svg
-from service.reports.html import TEMPLATES, data_uri
-from service.reports.pictures import sound_png
 from service.reports.report import ReportData
 
+TEMPLATES = Path(__file__).with_name("templates")
 DEJAVU = Path("/usr/share/fonts/truetype/dejavu")
 """Folder of Debian's package fonts-dejavu-core."""
 PICTURE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 83 56"><image width="83" height="56" href="{}"/></svg>'
 """A PNG within the shape of a card's picture."""
 CACHED = 10
 """Compilations whose results typst keeps in memory, about 9 MB for each report."""
+MAX_PIXELS = 4_000_000
+"""A larger picture is no preview: it would cost the memory of the reader's process."""
+
+
+def render_html(data: ReportData) -> bytes:
+    """Return the report as HTML."""
+    document = document_of(data)
+
+    def drawn(drawing: Drawing) -> Markup:
+        return Markup(svg(drawing, Language(document.language)))  # noqa: S704 - all texts in it are escaped by svg()
+
+    text = _template().render(document=document, drawn=drawn, data_uri=data_uri)
+    return text.encode("utf-8", "replace")
+
+
+def data_uri(png: bytes | None) -> str | None:
+    """Return a picture as an address that holds it; None if it is none."""
+    found = readable_png(png)
+    return None if found is None else "data:image/png;base64," + b64encode(found).decode("ascii")
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("page.html")
 
 
 def render_pdf(data: ReportData, font_folder: Path = DEJAVU) -> bytes:
@@ -59,3 +94,27 @@ def _jsonable(part: Any, language: Language) -> object:
     return {field.name: getattr(part, field.name) for field in fields(part)} | {
         "kind": getattr(part, "kind", None)
     }
+
+
+def readable_png(png: bytes | None) -> bytes | None:
+    """Return the picture if it is a sound PNG of moderate size, else None."""
+    if png is None:
+        return None
+    try:
+        with Image.open(BytesIO(png), formats=("PNG",)) as image:
+            if image.width * image.height > MAX_PIXELS:
+                return None
+            image.load()
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+        return None
+    return png
+
+
+def sound_png(png: bytes) -> bytes | None:
+    """Return a readable picture encoded anew: typst refuses a PNG that Pillow reads in spite of a damaged end."""
+    if readable_png(png) is None:
+        return None
+    sound = BytesIO()
+    with Image.open(BytesIO(png), formats=("PNG",)) as image:
+        image.save(sound, "PNG", compress_level=1)
+    return sound.getvalue()
