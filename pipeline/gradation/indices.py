@@ -28,6 +28,7 @@ from pipeline.gradation.estimators import (
 from pipeline.gradation.proportions import chance_between, exceeds
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.stones import Lot
+from pipeline.schema import SCHEMA
 
 
 class FlakinessFraction(NamedTuple):
@@ -69,17 +70,33 @@ FINENESS_SIEVES_MM = (0.15, 0.3, 0.6, 1.18, 2.36, 4.75, 9.5, 19.0, 37.5, 75.0, 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Indices:
-    """Figures of shape and of the whole curve, named by their standards; shares in percent."""
+    """Figures of the whole lot that are one number, each by its standard; reports and REST have them as they are."""
 
-    fineness_modulus: Estimate  # ASTM C136
-    uniformity: Estimate  # Cu = D60 / D10, from the quantiles of the stones
-    curvature: Estimate  # Cc = D30² / (D10 D60), likewise
-    d32_mm: Estimate  # ISO 9276-2, of the sieve size
+    __pydantic_config__ = SCHEMA
+
+    fineness_modulus: Estimate
+    """ASTM C136"""
+    uniformity: Estimate
+    """Cu = D60 / D10"""
+    curvature: Estimate
+    """Cc = D30² / (D10 D60)"""
+    d32_mm: Estimate
+    """ISO 9276-2, mean by surface, of the sieve size"""
     d43_mm: Estimate
-    flakiness: Estimate  # FI, EN 933-3
-    shape: Estimate  # SI, EN 933-4
-    needle_flaky: Estimate  # JTG 3432 T 0312
-    d4791: D4791  # ASTM D4791
+    """ISO 9276-2, mean by volume, of the sieve size"""
+    flakiness_percent: Estimate
+    """FI, EN 933-3"""
+    shape_percent: Estimate
+    """SI, EN 933-4"""
+    needle_flaky_percent: Estimate
+    """JTG 3432 T 0312"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LotIndices(Indices):
+    """All indices of a lot."""
+
+    d4791: D4791
 
 
 def indices_of(
@@ -88,22 +105,22 @@ def indices_of(
     fractions: Sequence[FlakinessFraction],
     apertures_mm: Sequence[float],
     measured: MeasuredRange,
-) -> Indices:
+) -> LotIndices:
     """Return all indices, over the sizes that are measured and that the standard is for.
 
     `fractions` are those of the flakiness index; those of ASTM D4791 lie between neighbouring apertures.
     """
     d10, d30, d60 = (quantiles.get(percent) for percent in (10, 30, 60))
 
-    return Indices(
+    return LotIndices(
         fineness_modulus=ratio_of_sums(sample, _fineness(measured)),
         uniformity=_power_product(((d60, 1), (d10, -1))),
         curvature=_power_product(((d30, 2), (d10, -1), (d60, -1))),
         d32_mm=ratio_of_sums(sample, _moments(3)),
         d43_mm=ratio_of_sums(sample, _moments(4)),
-        flakiness=share_percent(sample, is_flaky(measured, fractions)),
-        shape=share_percent(sample, is_non_cubical(measured)),
-        needle_flaky=share_percent(
+        flakiness_percent=share_percent(sample, is_flaky(measured, fractions)),
+        shape_percent=share_percent(sample, is_non_cubical(measured)),
+        needle_flaky_percent=share_percent(
             sample, is_non_cubical(measured, NEEDLE_RANGE_MM), min_stones=MIN_NEEDLE_STONES
         ),
         d4791=d4791_of(sample, apertures_mm, measured),

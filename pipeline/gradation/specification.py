@@ -91,7 +91,9 @@ class LotJudgement:
 def judge(specification: Specification, gradation: Gradation) -> LotJudgement:
     """Return the verdict; a sieve that the gradation was not evaluated at was not measured."""
     found = {point.sieve_mm: point.by_mass for point in gradation.curve}
-    return judge_figures(specification, found, gradation.indices.flakiness, gradation.indices.shape)
+    return judge_figures(
+        specification, found, gradation.indices.flakiness_percent, gradation.indices.shape_percent
+    )
 
 
 def judge_figures(

@@ -15,7 +15,7 @@ from pipeline.gradation.d4791 import RATIOS, ParticleForm, Shares
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.estimators import sample_of
 from pipeline.gradation.evaluation import Gradation, evaluate
-from pipeline.gradation.indices import Indices
+from pipeline.gradation.indices import LotIndices
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.specification import Judgement, LotJudgement, Specification, Verdict, judge
 from pipeline.gradation.stones import Fate, Lot, UnmeasuredMass
@@ -221,7 +221,7 @@ def _quantiles(gradation: Gradation) -> list[Quantile]:
     ]
 
 
-def _indices(found: Indices) -> ShapeIndices:
+def _indices(found: LotIndices) -> ShapeIndices:
     d4791 = found.d4791
     fractions = [
         FlatAndElongatedFraction(
@@ -234,7 +234,7 @@ def _indices(found: Indices) -> ShapeIndices:
         for fraction in d4791.fractions
     ]
     return ShapeIndices(
-        **{name: getattr(found, name.removesuffix("_percent")) for name in INDICES},
+        **{name: getattr(found, name) for name in INDICES},
         flat_and_elongated=_forms(d4791.whole),
         flat_and_elongated_fractions=fractions,
         flat_and_elongated_weighted=_forms(d4791.weighted),

@@ -1,15 +1,16 @@
 """The figures of a lot as REST returns them and the report prints them."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 
 from pydantic import Field
 
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.estimators import Property
-from pipeline.gradation.indices import is_flaky, is_non_cubical
+from pipeline.gradation.indices import Indices, is_flaky, is_non_cubical
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.specification import Verdict
-from service.base.schema import TIME
+from service.base.schema import TIME, adds_to
 from service.base.status import Report
 from service.lots.lots import LotDocument
 
@@ -89,29 +90,19 @@ class FlatAndElongatedFraction(Report):
     forms: list[FlatAndElongated] = Field(description="At each ratio")
 
 
-class ShapeIndices(Report):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShapeIndices(Indices):
     """Figures of the whole lot beside its curve."""
 
-    fineness_modulus: Estimate = Field(description="ASTM C136")
-    uniformity: Estimate = Field(description="Cu = D60 / D10")
-    curvature: Estimate = Field(description="Cc = D30² / (D10 D60)")
-    d32_mm: Estimate = Field(description="ISO 9276-2, mean by surface, of the sieve size")
-    d43_mm: Estimate = Field(description="ISO 9276-2, mean by volume, of the sieve size")
-    flakiness_percent: Estimate = Field(description="FI, EN 933-3")
-    shape_percent: Estimate = Field(description="SI, EN 933-4")
-    needle_flaky_percent: Estimate = Field(description="JTG 3432 T 0312")
-    flat_and_elongated: list[FlatAndElongated] = Field(
-        description="ASTM D4791 at each ratio, of all particles together"
-    )
-    flat_and_elongated_fractions: list[FlatAndElongatedFraction] = Field(
-        default=[],
-        description="ASTM D4791 of each size fraction that holds 10 % of the mass or more, by rising size",
-    )
-    flat_and_elongated_weighted: list[FlatAndElongated] = Field(
-        default=[],
-        description="ASTM D4791 at each ratio, the mean over these fractions, weighted by their masses; `insufficient`"
-        " where one of them is",
-    )
+    __pydantic_config__ = adds_to(Indices)
+
+    flat_and_elongated: Sequence[FlatAndElongated]
+    """ASTM D4791 at each ratio, of all particles together"""
+    flat_and_elongated_fractions: Sequence[FlatAndElongatedFraction]
+    """ASTM D4791 of each size fraction that holds 10 % of the mass or more, by rising size"""
+    flat_and_elongated_weighted: Sequence[FlatAndElongated]
+    """ASTM D4791 at each ratio, the mean over these fractions, weighted by their masses; `insufficient` where one of
+    them is"""
 
 
 class Unmeasured(Report):
@@ -208,7 +199,7 @@ class LotFigures(Report):
         return str(self.correlated.version) if self.correlated else None
 
 
-INDICES = tuple(name for name, field in ShapeIndices.model_fields.items() if field.annotation is Estimate)
+INDICES = tuple(each.name for each in fields(Indices))
 """The figures of a lot beside its curve and ASTM D4791."""
 SHARES: Mapping[str, Callable[[MeasuredRange], Property]] = {
     "flakiness_percent": is_flaky,

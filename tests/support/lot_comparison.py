@@ -145,9 +145,9 @@ def index_figures(truth: Gradation, lot: Gradation) -> list[Figure]:
     """Return indices and quantiles."""
     true, mine = truth.indices, lot.indices
     figures = {
-        "flakiness index": (true.flakiness, mine.flakiness, MAX_FLAKINESS),
-        "shape index": (true.shape, mine.shape, MAX_SHAPE),
-        "needle-flaky": (true.needle_flaky, mine.needle_flaky, None),
+        "flakiness index": (true.flakiness_percent, mine.flakiness_percent, MAX_FLAKINESS),
+        "shape index": (true.shape_percent, mine.shape_percent, MAX_SHAPE),
+        "needle-flaky": (true.needle_flaky_percent, mine.needle_flaky_percent, None),
         "fineness modulus": (true.fineness_modulus, mine.fineness_modulus, None),
     }
     for form in ParticleForm:

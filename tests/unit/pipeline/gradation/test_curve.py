@@ -111,8 +111,8 @@ def test_vector_f4_percentages_ignore_density_and_order(
     other = evaluate(Lot(measures=heavier, counts=lot.counts), SIEVES, measured=ALL_SIZES, scale_sd=0.001)
     assert values(other) == pytest.approx(values(found))
     for mine, theirs in (
-        (found.indices.flakiness, other.indices.flakiness),
-        (found.indices.shape, other.indices.shape),
+        (found.indices.flakiness_percent, other.indices.flakiness_percent),
+        (found.indices.shape_percent, other.indices.shape_percent),
         (found.indices.fineness_modulus, other.indices.fineness_modulus),
     ):
         assert theirs.value == pytest.approx(mine.value)

@@ -104,9 +104,12 @@ def test_the_figures_are_those_of_the_report() -> None:
     lot, times_s = falling(np.random.default_rng(5), 800)
     found, report = figures((lot, times_s)), evaluate(lot, [8.0])
     assert found["d50"].value == report.quantiles_exact_mm[50].value
-    assert found["shape"].value == pytest.approx(report.indices.shape.value)
-    assert found["flakiness"].value == pytest.approx(report.indices.flakiness.value)
-    for name, figure in {"shape": report.indices.shape, "flakiness": report.indices.flakiness}.items():
+    assert found["shape"].value == pytest.approx(report.indices.shape_percent.value)
+    assert found["flakiness"].value == pytest.approx(report.indices.flakiness_percent.value)
+    for name, figure in {
+        "shape": report.indices.shape_percent,
+        "flakiness": report.indices.flakiness_percent,
+    }.items():
         assert found[name].variance ** 0.5 == pytest.approx(figure.standard_error, rel=0.1)
     for each in found.values():
         assert each.of_stones.sum() == pytest.approx(0, abs=1e-9)

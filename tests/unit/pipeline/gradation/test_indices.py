@@ -23,32 +23,32 @@ def indices(stones: list[Stone], measured: MeasuredRange = OF_THE_RIG) -> Indice
 
 def test_vector_f1() -> None:
     found = indices(F1)
-    assert found.flakiness.value == pytest.approx(51.3, abs=0.05)
-    assert found.shape.value == 100
+    assert found.flakiness_percent.value == pytest.approx(51.3, abs=0.05)
+    assert found.shape_percent.value == 100
 
 
 def test_vector_f2_the_length_of_a_box_is_its_diagonal() -> None:
     found = indices([box((10.0, 14.0, 28.0), 14.0)])
-    assert found.shape.value == found.needle_flaky.value == 100
+    assert found.shape_percent.value == found.needle_flaky_percent.value == 100
 
 
 def test_a_slot_as_wide_as_the_stone_is_passed_and_a_sieve_belongs_to_the_fraction_below() -> None:
-    assert indices([round_stone(16.0, min_feret_mm=8.0)]).flakiness.value == 100
-    assert indices([round_stone(16.01, min_feret_mm=10.01)]).flakiness.value == 0
+    assert indices([round_stone(16.0, min_feret_mm=8.0)]).flakiness_percent.value == 100
+    assert indices([round_stone(16.01, min_feret_mm=10.01)]).flakiness_percent.value == 0
 
 
 def test_only_fractions_that_are_measured_whole_count() -> None:
     stones = [round_stone(9.0, 1.0, min_feret_mm=1.0), round_stone(18.0, 1.0), round_stone(38.0, 9.0)]
-    assert indices(stones, MeasuredRange(max_mm=36.0)).flakiness.value == 50
-    assert indices(stones, MeasuredRange(min_mm=9.0, max_mm=36.0)).flakiness.value == 0
+    assert indices(stones, MeasuredRange(max_mm=36.0)).flakiness_percent.value == 50
+    assert indices(stones, MeasuredRange(min_mm=9.0, max_mm=36.0)).flakiness_percent.value == 0
 
 
 def test_a_stone_near_the_slot_is_flaky_with_a_probability() -> None:
-    found = indices([round_stone(14.0, min_feret_mm=7.999, feret_sd_mm=0.1)] * 100).flakiness
+    found = indices([round_stone(14.0, min_feret_mm=7.999, feret_sd_mm=0.1)] * 100).flakiness_percent
     assert found.value == 100
     assert found.measuring_se == pytest.approx(5, rel=0.05), "each of a hundred is about as likely not"
 
 
 def test_too_few_particles_are_insufficient() -> None:
-    assert indices([round_stone(10.0)] * 99).needle_flaky.state is State.INSUFFICIENT
-    assert indices([round_stone(10.0)] * 100).needle_flaky.state is State.MEASURED
+    assert indices([round_stone(10.0)] * 99).needle_flaky_percent.state is State.INSUFFICIENT
+    assert indices([round_stone(10.0)] * 100).needle_flaky_percent.state is State.MEASURED

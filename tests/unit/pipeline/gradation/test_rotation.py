@@ -57,7 +57,7 @@ def upright() -> Gradation:
 def figures(of: Gradation) -> dict[str, Estimate]:
     shares = {f"passing {point.sieve_mm:g} mm": point.by_mass for point in of.curve}
     shares |= {f"number passing {point.sieve_mm:g} mm": point.by_number for point in of.curve}
-    shares |= {"flakiness": of.indices.flakiness, "shape": of.indices.shape}
+    shares |= {"flakiness": of.indices.flakiness_percent, "shape": of.indices.shape_percent}
     return shares | {
         f"flat and elongated {basis}": of.indices.d4791.whole[ParticleForm.FLAT_AND_ELONGATED][3][basis]
         for basis in Basis
@@ -81,5 +81,5 @@ def test_percentages_ignore_the_poses_of_stones(seed: int) -> None:
 @pytest.mark.full
 def test_the_stones_of_that_lot_are_flaky_and_not_flaky_on_many_sieves() -> None:
     assert all(2 < (upright().passing(mm).value or 0.0) < 98 for mm in (11.2, 12.5, 14.0, 16.0))
-    for of in (upright().indices.flakiness, upright().indices.shape):
+    for of in (upright().indices.flakiness_percent, upright().indices.shape_percent):
         assert 2 < (of.value or 0.0) < 98
