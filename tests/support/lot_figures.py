@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.specification import Verdict
 from service.lots.figures import (
+    INDICES,
     CorrelatedCurve,
     CorrelatedStep,
     CurveStep,
@@ -107,15 +108,17 @@ def lot_document(**changes: Any) -> LotDocument:
 
 def indices() -> ShapeIndices:
     sizes = ((8.0, 10.0, 23.4, 410), (10.0, 12.5, 26.7, 301), (12.5, 14.0, 17.7, 122), (14.0, 16.0, 15.2, 78))
+    named = {
+        "uniformity": measured(1.56, 0.03),
+        "curvature": measured(1.02, 0.04),
+        "d32_mm": measured(11.1, 0.12),
+        "d43_mm": measured(12.06, 0.14),
+        "flakiness_percent": measured(12.4, 1.3),
+        "shape_percent": measured(18.9, 1.6),
+        "needle_flaky_percent": measured(9.1, 1.1),
+    }
     return ShapeIndices(
-        fineness_modulus=NOT_MEASURED,
-        uniformity=measured(1.56, 0.03),
-        curvature=measured(1.02, 0.04),
-        d32_mm=measured(11.1, 0.12),
-        d43_mm=measured(12.06, 0.14),
-        flakiness_percent=measured(12.4, 1.3),
-        shape_percent=measured(18.9, 1.6),
-        needle_flaky_percent=measured(9.1, 1.1),
+        **dict.fromkeys(INDICES, NOT_MEASURED) | named,
         flat_and_elongated=forms(1.0),
         flat_and_elongated_fractions=[
             FlatAndElongatedFraction(
