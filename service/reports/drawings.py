@@ -9,7 +9,7 @@ from service.lots.figures import LotFigures
 from service.lots.stones import ALL_STONES, Choice, stones_of_lot
 from service.lots.yardsticks import Request
 from service.reports.curve import Beside, curve_svg
-from service.reports.words import lot_name
+from service.reports.words import words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,9 +29,7 @@ def lot_curve_svg(
     figures = lot_figures(connection, lot, wanted.figures, choice)
     if figures is None:
         return None
-    return _curve_svg(
-        connection, figures, lot_name(lot, choice.algorithm_version, wanted.language), lot, wanted
-    )
+    return _curve_svg(connection, figures, _name(lot, choice.algorithm_version, wanted.language), lot, wanted)
 
 
 def window_curve_svg(
@@ -57,7 +55,7 @@ def _curve_svg(
         choice = ALL_STONES if version is None else Choice(algorithm_version=version)
         beside = Beside(
             first_name=name,
-            name=lot_name(other, version, wanted.language),
+            name=_name(other, version, wanted.language),
             passing_percent=passing_of(
                 stones_of_lot(connection, other, choice).lot,
                 [step.sieve_mm for step in figures.curve],
@@ -65,3 +63,9 @@ def _curve_svg(
             ),
         )
     return curve_svg(figures.curve, language=wanted.language, beside=beside)
+
+
+def _name(lot: str, algorithm_version: str | None, language: Language) -> str:
+    if algorithm_version is None:
+        return lot
+    return words(language)("curve.by_version", name=lot, version=algorithm_version)

@@ -153,41 +153,40 @@ def indices(data: ReportData, say: Words) -> Section:
 
 def _size_fractions(found: ShapeIndices, say: Words) -> tuple[Block, ...]:
     """Return ASTM D4791 size by size, the flat and elongated ones alone: the other files have all forms."""
-    parts = [
-        (
-            say("d4791.between", lower=say.size(part.lower_mm), upper=say.size(part.upper_mm)),
-            say.number(part.mass_percent, 1),
-            str(part.n_stones),
-            part.forms,
-        )
-        for part in found.flat_and_elongated_fractions
-    ]
-    if not parts:
+    fractions = found.flat_and_elongated_fractions
+    if not fractions:
         return ()
-    together = (
-        say("d4791.weighted"),
-        say.number(sum(part.mass_percent for part in found.flat_and_elongated_fractions), 1),
-        str(sum(part.n_stones for part in found.flat_and_elongated_fractions)),
-        found.flat_and_elongated_weighted,
-    )
-    ratios = [form.ratio for form in found.flat_and_elongated_weighted]
+    weighted = found.flat_and_elongated_weighted
+    mass_percent = sum(part.mass_percent for part in fractions)
+    parts = [
+        *(
+            (
+                say("d4791.between", lower=say.size(part.lower_mm), upper=say.size(part.upper_mm)),
+                part.mass_percent,
+                part.n_stones,
+                part.forms,
+            )
+            for part in fractions
+        ),
+        (say("d4791.weighted"), mass_percent, sum(part.n_stones for part in fractions), weighted),
+    ]
     table = Table(
         (
             Column(say("d4791.fraction"), is_number=False, width=1.2),
             Column(say("d4791.share"), width=0.8),
             Column(say("d4791.stones"), width=0.7),
             Column(say("d4791.counted"), is_number=False, width=0.9),
-            *(Column(f"1:{ratio}") for ratio in ratios),
+            *(Column(f"1:{form.ratio}") for form in weighted),
         ),
         [
             (
                 name,
-                share,
-                n_stones,
+                say.number(mass_percent, 1),
+                str(n_stones),
                 say.known("counted", by),
                 *(with_interval(form.flat_and_elongated_percent[by], 0, say) for form in forms),
             )
-            for name, share, n_stones, forms in (*parts, together)
+            for name, mass_percent, n_stones, forms in parts
             for by in forms[0].flat_and_elongated_percent
         ],
     )

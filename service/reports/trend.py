@@ -66,7 +66,23 @@ Values = Sequence[tuple[datetime, Estimate]]
 
 def trend_svg(trend: Trend, figure: TrendFigure, language: Language, zone: tzinfo | None = None) -> str:
     """Return the drawing of one figure; clock times are of `zone`, by default the host's."""
-    return svg(trend_drawing(trend, figure, words(language), zone), language)
+    say = words(language)
+    values = [_value(bucket, figure, trend.bucket_s) for bucket in trend.buckets]
+    axes = _Axes(trend, values, starts_at_zero=figure is TrendFigure.RATE)
+    title = say(f"trend.{figure}")
+    drawing = Drawing(
+        height=268.0,
+        title=title,
+        description=_description(title, trend, values, say, zone, axes.decimals),
+        shapes=(
+            *_grid(axes, title, say, zone),
+            *_lots(trend, axes),
+            *_line(values, axes, say),
+            *_marks(trend, axes, say),
+            *FIELD.legend(_legend_entries(trend, values, say), LOTS_BOTTOM + 1.6 * LABEL_SIZE, gap=14),
+        ),
+    )
+    return svg(drawing, language)
 
 
 def stored_trend_svg(
@@ -79,25 +95,6 @@ def stored_trend_svg(
 ) -> str:
     """Return the drawing of one figure over the last hours, made on a connection to the store."""
     return trend_svg(trend(connection, now, hours, measured), figure, language)
-
-
-def trend_drawing(trend: Trend, figure: TrendFigure, say: Words, zone: tzinfo | None = None) -> Drawing:
-    """Return one figure over time as plain shapes."""
-    values = [_value(bucket, figure, trend.bucket_s) for bucket in trend.buckets]
-    axes = _Axes(trend, values, starts_at_zero=figure is TrendFigure.RATE)
-    title = say(f"trend.{figure}")
-    return Drawing(
-        height=268.0,
-        title=title,
-        description=_description(title, trend, values, say, zone, axes.decimals),
-        shapes=(
-            *_grid(axes, title, say, zone),
-            *_lots(trend, axes),
-            *_line(values, axes, say),
-            *_marks(trend, axes, say),
-            *FIELD.legend(_legend_entries(trend, values, say), LOTS_BOTTOM + 1.6 * LABEL_SIZE, gap=14),
-        ),
-    )
 
 
 class _Axes:

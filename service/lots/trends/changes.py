@@ -1,8 +1,7 @@
 """Changes since an entry of the diary: figures before and after it, and their significance."""
 
 import sqlite3
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from datetime import datetime, timedelta
 from enum import StrEnum
 
@@ -84,12 +83,8 @@ class Changes(Report):
     items: list[EntryChanges] = Field(description="Newest entry first, at most 20")
 
 
-@dataclass(frozen=True, slots=True)
-class _Side:
-    """The stones before or after an entry."""
-
-    n_measured: int
-    figures: dict[ChangedFigure, Influences | None]
+Figures = Mapping[ChangedFigure, Influences | None]
+"""The figures before or after an entry."""
 
 
 def changes(connection: sqlite3.Connection, now: str, hours: float, measured: MeasuredRange) -> Changes:
@@ -106,30 +101,31 @@ def _changes(
 ) -> EntryChanges:
     since = max([_moved(entry.at, -MAX_SIDE), *(at for at in times if at < entry.at)])
     until = min([now, _moved(entry.at, MAX_SIDE), *(at for at in times if at > entry.at)])
-    before = _side(connection, since, entry.at, measured)
-    after = _side(connection, entry.at, until, measured)
+    n_before, before = _side(connection, since, entry.at, measured)
+    n_after, after = _side(connection, entry.at, until, measured)
     return EntryChanges(
         entry=entry,
         before_since=since,
         after_until=until,
-        n_before=before.n_measured,
-        n_after=after.n_measured,
+        n_before=n_before,
+        n_after=n_after,
         figures=list(_figure_changes(before, after)),
     )
 
 
-def _side(connection: sqlite3.Connection, since: str, until: str, measured: MeasuredRange) -> _Side:
+def _side(
+    connection: sqlite3.Connection, since: str, until: str, measured: MeasuredRange
+) -> tuple[int, Figures]:
     found = stretch(connection, since, until, MAX_STONES)
-    figures = {
+    return found.n_measured, {
         ChangedFigure.D50: size_influences(found.lot, 50, measured),
         **{ChangedFigure(name): share_influences(found.lot, of(measured)) for name, of in SHARES.items()},
         ChangedFigure.RATE: rate_influences(times_of(connection, since, until)),
     }
-    return _Side(found.n_measured, figures)
 
 
-def _figure_changes(before: _Side, after: _Side) -> Iterator[FigureChange]:
-    pairs = {name: (before.figures[name], after.figures[name]) for name in ChangedFigure}
+def _figure_changes(before: Figures, after: Figures) -> Iterator[FigureChange]:
+    pairs = {name: (before[name], after[name]) for name in ChangedFigure}
     differences = {
         name: difference_in_time(first, second)
         for name, (first, second) in pairs.items()

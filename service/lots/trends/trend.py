@@ -116,8 +116,6 @@ def _lots(connection: sqlite3.Connection, since: str, until: str) -> list[TrendL
         "SELECT lot, product, state, opened_at, closed_at FROM lots"
         " WHERE opened_at < ? AND coalesce(closed_at, '9') >= ? ORDER BY opened_at DESC LIMIT ?",
         (until, since, MAX_MARKS),
-    ).fetchall()
-    return [
-        TrendLot(lot=lot, product=product, state=LotState(state), opened_at=opened_at, closed_at=closed_at)
-        for lot, product, state, opened_at, closed_at in reversed(rows)
-    ]
+    )
+    names = [column for column, *_ in rows.description]
+    return [TrendLot(**dict(zip(names, row, strict=True))) for row in rows][::-1]

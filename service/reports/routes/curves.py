@@ -12,7 +12,7 @@ from service.lots.routes.lot_figures import Choosing, Measuring
 from service.lots.routes.lots import LotName
 from service.lots.routes.windows import Minutes, ProductId, last_minutes
 from service.reports.drawings import CurveRequest, lot_curve_svg, window_curve_svg
-from service.reports.words import minutes_name
+from service.reports.words import words
 from service.web.auth import READABLE
 from service.web.context import Context
 from service.web.problems import existing, problem_responses
@@ -74,7 +74,7 @@ async def current_curve(
     context: Context, asked: HttpRequest, wanted: Drawing, minutes: Minutes = 60.0, product: ProductId = None
 ) -> Response:
     """Draw the gradation curve of the last minutes: of all that fell, in any lot or in none."""
-    name = minutes_name(minutes, wanted.language)
+    name = words(wanted.language)("curve.last_minutes", minutes=f"{minutes:g}")
     since, until = last_minutes(minutes)
     text = await shared(context, window_curve_svg, since, until, product, name, wanted, keep_s=KEEP_S)
     return svg_answer(asked, existing(text, "product", str(product)))
