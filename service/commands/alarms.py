@@ -1,14 +1,25 @@
 """`stonefall alarms`: the alarms that need attention, and their remedies, as a client of a running daemon."""
 
 import json
-from typing import Annotated
+from collections.abc import Mapping
+from datetime import datetime, timedelta
+from typing import Annotated, Any
 
 import typer
 
 from service.base.language import Language
 from service.commands.daemon_client import AsJson, DaemonClient
 from service.commands.options import with_options
-from service.health.alarms.printed import as_text
+from service.health.alarms.alarm import AlarmState
+
+STATES = {
+    AlarmState.UNACKNOWLEDGED: "not acknowledged",
+    AlarmState.ACKNOWLEDGED: "acknowledged",
+    AlarmState.RETURNED: "gone, not acknowledged",
+    AlarmState.SHELVED: "shelved",
+    AlarmState.SUPPRESSED: "caused by another alarm",
+    AlarmState.NORMAL: "ended",
+}
 
 
 @with_options
@@ -34,6 +45,26 @@ def command(
         typer.echo(json.dumps(found))
         return
     for alarm in found["items"]:
-        typer.echo(as_text(alarm))
+        typer.echo(alarm_as_text(alarm))
     aside = [f"{len(found[kind])} {kind}" for kind in ("shelved", "suppressed") if found.get(kind)]
     typer.echo("; ".join([f"{len(found['items'])} alarms", *aside]))
+
+
+def alarm_as_text(alarm: Mapping[str, Any]) -> str:
+    """Return an alarm in a few lines: how urgent, since when and for how long; what is wrong, why, what to do."""
+    lines = (
+        f"{alarm['id']:>5}  {alarm['priority']}  {alarm['check']}  {STATES[alarm['state']]}; {_times(alarm)}",
+        *(f"       {text}" for text in (alarm["detail"], alarm["cause"], f"-> {alarm['action']}") if text),
+    )
+    return "\n".join(lines)
+
+
+def _times(alarm: Mapping[str, Any]) -> str:
+    raised = datetime.fromisoformat(alarm["raised_at"])
+    text = f"raised {raised:%Y-%m-%d %H:%M:%S} UTC"
+    if alarm["occurrences"] > 1:
+        text = f"first {text}, {alarm['occurrences']} times in all"
+    if alarm["state"] in (AlarmState.RETURNED, AlarmState.NORMAL) and alarm["cleared_at"] is not None:
+        lasted = datetime.fromisoformat(alarm["cleared_at"]) - raised
+        text += f", gone after {timedelta(seconds=max(0, round(lasted.total_seconds())))}"  # a clock may be set back
+    return text

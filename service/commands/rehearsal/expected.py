@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from service.health.alarms.printed import as_text as alarm_as_text
+from service.commands.alarms import alarm_as_text
 from service.store.history import DATABASE
 from service.store.schema import connect_reader
 
