@@ -20,7 +20,7 @@ COMMANDS = {
     "check-config": "service.commands.check_config",
     "check-host": "service.commands.doctor",
     "doctor": "service.commands.doctor",
-    "diagnostics": "service.commands.diagnostics",
+    "diagnostics": "service.commands.doctor",
     "compile": "service.commands.compile",
     "synthesize": "service.commands.synthesize",
     "import": "service.commands.images",

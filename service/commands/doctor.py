@@ -1,9 +1,12 @@
-"""`stonefall doctor`: all that can be looked at on this machine and its rig; `check-host`: the machine alone."""
+"""`stonefall doctor`: what can be looked at here and at the rig; `check-host`: here; `diagnostics`: all for support."""
 
 import asyncio
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
+from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from service.base.errors import UsageError
 from service.base.language import Language
 from service.base.status import CheckStatus
 from service.commands.daemon_client import ConfiguredUrl, DaemonClient, DaemonError, Key
@@ -19,6 +23,8 @@ from service.commands.doctor_rig import check_cameras, check_gate, check_pulse
 from service.configuration.host_needs import host_needs
 from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings
 from service.configuration.settings import Settings, load_settings, problems, shortcomings
+from service.daemon.diagnostics.archive import build_archive
+from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
 from service.health.alarms.rules import load_rules
 from service.host.check import check_host
 from service.host.finding import Finding, HostVerdict, fault, good, judged, unknown
@@ -26,6 +32,8 @@ from service.host.host import ROOT, Host, host_at
 from service.store.schema import is_locked
 
 TIMEOUT_S = 5.0
+ARCHIVE_S = 90.0
+"""The archive may wait for other answers of the daemon."""
 STYLES = {HostVerdict.GOOD: "green", HostVerdict.FAULT: "bold red", HostVerdict.UNKNOWN: "yellow"}
 
 Config = Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")]
@@ -89,6 +97,38 @@ def command(
         for name, part in parts.items():
             _show(name, part)
     _exit_by([finding for part in parts.values() for finding in part])
+
+
+def diagnostics_command(
+    config: Config,
+    out: Annotated[
+        Path | None, typer.Argument(help="File to write; default: stonefall-TIME.tar.gz here.")
+    ] = None,
+    url: ConfiguredUrl = None,
+    key: Key = None,
+    offline: Annotated[
+        bool,
+        typer.Option("--offline", help="Do not ask the daemon, even if it runs: without health and metrics."),
+    ] = False,
+) -> None:
+    """Write an archive with configuration, versions, health, alarms, host, calibrations and log, without secrets."""
+    out = out or Path(f"stonefall-{datetime.now(UTC):%Y%m%dT%H%M%SZ}.tar.gz")
+    if out.exists():
+        raise UsageError(f"{out}: exists already")
+    settings = load_settings(config)
+    daemon = DaemonClient(url or settings.api.local_url, key)
+    if not offline and is_running(daemon):
+        try:
+            content = daemon.fetch("/diagnostics", timeout_s=ARCHIVE_S)
+        except DaemonError as err:
+            raise DaemonError(f"{err}; --offline does without the daemon", err.kind) from err
+        source = f"the daemon at {daemon.url}"
+    else:
+        os.nice(10)  # it may run beside a daemon
+        content, source = build_archive(diagnostic_inputs(settings)), "files alone: no daemon was asked"
+    with open(out, "xb", opener=partial(os.open, mode=0o600)) as file:  # for its owner alone
+        file.write(content)
+    typer.echo(f"{out}: {len(content) / 1e3:.0f} kB, of {source}")
 
 
 def is_running(daemon: DaemonClient) -> bool:

@@ -17,12 +17,11 @@ from rich.table import Table
 from service.base.errors import UsageError
 from service.base.language import Language
 from service.commands.options import with_options
-from service.commands.rehearsal.day import Day, merged
+from service.commands.rehearsal.day import Day, merged, scripts
 from service.commands.rehearsal.expected import as_text
 from service.commands.rehearsal.recordings import RehearsedRecording, rehearsed_recording
 from service.commands.rehearsal.rehearsed_daemon import HOST, RehearsedDaemon, free_port, is_free
 from service.commands.rehearsal.rigs import ReplayedRig, Rig, SimulatedGigeRig
-from service.commands.rehearsal.script import scripts
 
 SETTINGS = {
     "spool": {"dir": "spool", "max_bundles": 100},

@@ -17,8 +17,8 @@ from support.eventually import eventually
 from support.extents import Extent, first_quick
 from support.reference_client import start_client
 
+from service.commands.rehearsal.day import scripts
 from service.commands.rehearsal.rehearsed_daemon import is_free
-from service.commands.rehearsal.script import scripts
 
 NAMES = sorted(scripts(), key=lambda name: (name != "camera-lost", name))
 OF_LOAD = {"loop", "queue"}

@@ -4,8 +4,7 @@ import inspect
 
 import pytest
 
-from service.commands.rehearsal.day import DEEDS, Day
-from service.commands.rehearsal.script import Script, scripts
+from service.commands.rehearsal.day import DEEDS, Day, Script, scripts
 from service.health.alarms.rules import load_rules
 
 ALL = list(scripts().values())
