@@ -118,13 +118,6 @@ class CheckStatus(StrEnum):
     WARN = "warn"
     FAIL = "fail"
 
-    @classmethod
-    def of(cls, *, warn: bool = False, fail: bool = False) -> "CheckStatus":
-        """Return the worst that applies."""
-        if fail:
-            return cls.FAIL
-        return cls.WARN if warn else cls.PASS
-
 
 class Ne107(StrEnum):
     """Device state in the words of NAMUR NE 107."""
@@ -201,16 +194,24 @@ Checks = Mapping[str, HealthCheck]
 """Checks by name: all of the daemon, or those of one part."""
 
 
+def health_check(
+    detail: str | None,
+    value: float | str | None = None,
+    unit: str | None = None,
+    *,
+    warn: bool = False,
+    fail: bool = False,
+) -> HealthCheck:
+    """Return a check with the worst status that applies, and what was observed."""
+    status = CheckStatus.FAIL if fail else CheckStatus.WARN if warn else CheckStatus.PASS
+    return HealthCheck(status=status, observed_value=value, observed_unit=unit, detail=detail)
+
+
 def trouble_check(
-    trouble: str | None, observed_value: float | str | None = None, observed_unit: str | None = None
+    trouble: str | None, value: float | str | None = None, unit: str | None = None
 ) -> HealthCheck:
     """Return a check that warns of a trouble in its own words, and passes without one."""
-    return HealthCheck(
-        status=CheckStatus.of(warn=trouble is not None),
-        observed_value=observed_value,
-        observed_unit=observed_unit,
-        detail=trouble,
-    )
+    return health_check(trouble, value, unit, warn=trouble is not None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,8 +23,7 @@ from service.base.status import (
     AcquisitionState,
     CalibrationFacts,
     Checks,
-    CheckStatus,
-    HealthCheck,
+    health_check,
     trouble_check,
 )
 from service.calibration.collecting import DropCollector
@@ -330,9 +329,6 @@ class Calibrations:
 
 def calibration_checks(facts: CalibrationFacts) -> Checks:
     """Check that results of the calibration in use are to be trusted, and that what falls is a stone."""
-    calibration = HealthCheck(
-        status=CheckStatus.of(warn=facts.trouble is not None),
-        observed_value=facts.calibration_id,
-        detail=facts.trouble or f"{facts.method}, in use since {facts.used_since}",
-    )
+    detail = facts.trouble or f"{facts.method}, in use since {facts.used_since}"
+    calibration = health_check(detail, facts.calibration_id, warn=facts.trouble is not None)
     return {"calibration": calibration, "drops": trouble_check(facts.at_work)}

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from service.base.status import CheckStatus, HealthCheck
+from service.base.status import HealthCheck, health_check
 
 
 class Watched(StrEnum):
@@ -37,7 +37,5 @@ class Heartbeats:
     def check(self, now_s: float) -> HealthCheck:
         """Check that no part is late."""
         late = self.late(now_s)
-        return HealthCheck(
-            status=CheckStatus.of(fail=bool(late)),
-            detail=f"no progress of {', '.join(late)}: look at the journal" if late else None,
-        )
+        problem = f"no progress of {', '.join(late)}: look at the journal"
+        return health_check(problem if late else None, fail=bool(late))

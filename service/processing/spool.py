@@ -18,7 +18,7 @@ from pathlib import Path
 
 from drivers.files.bundle_file import overwrite_bundle
 from pipeline.frames import BundleKind, CameraId, FrameBundle, MissingReason, Trigger
-from service.base.status import Checks, CheckStatus, HealthCheck
+from service.base.status import Checks, health_check
 from service.processing.left_bundles import LeftBundle, is_left, remove_backgrounds
 from service.results.fields import LossReason
 
@@ -135,15 +135,10 @@ class Spool:
         """Check that there is room for the next bundles, and that none was lost lately."""
         trouble, waiting = self.trouble, f"{self.n_queued} of {self.max_bundles} waiting"
         is_filling = 2 * self.n_queued > self.max_bundles
-        check = HealthCheck(
-            status=CheckStatus.of(
-                warn=is_filling or trouble is not None, fail=self.n_queued >= self.max_bundles
-            ),
-            observed_value=self.n_queued,
-            observed_unit="bundles",
-            detail=waiting if trouble is None else f"{waiting}; within the last minute: {trouble}",
-        )
-        return {"queue": check}
+        detail = waiting if trouble is None else f"{waiting}; within the last minute: {trouble}"
+        is_troubled = is_filling or trouble is not None
+        is_full = self.n_queued >= self.max_bundles
+        return {"queue": health_check(detail, self.n_queued, "bundles", warn=is_troubled, fail=is_full)}
 
     def offer(self, bundle: FrameBundle) -> None:
         """Add a bundle, or its loss if it has no frames or the spool is full; never blocks."""

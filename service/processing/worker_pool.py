@@ -23,7 +23,7 @@ from multiprocessing.process import BaseProcess
 from typing import Protocol, Self, TypeVar
 
 from service.base.errors import ServiceError, WorkerFailure
-from service.base.status import Checks, CheckStatus, HealthCheck
+from service.base.status import Checks, HealthCheck, health_check
 from service.processing.worker_process import (
     Prepare,
     begin_process,
@@ -341,10 +341,7 @@ class _Slot:
 
 def workers_check(n_up: int, n_slots: int, restarts: int, trouble: str | None) -> HealthCheck:
     """Check that all processes run, and that none failed lately."""
-    return HealthCheck(
-        status=CheckStatus.of(warn=n_up < n_slots or trouble is not None, fail=n_up == 0),
-        observed_value=n_up,
-        observed_unit="processes",
-        detail=f"{n_up} of {n_slots} up, {restarts} restarts"
-        + (f"; within the last minute: {trouble}" if trouble else ""),
-    )
+    detail = f"{n_up} of {n_slots} up, {restarts} restarts"
+    if trouble:
+        detail += f"; within the last minute: {trouble}"
+    return health_check(detail, n_up, "processes", warn=n_up < n_slots or trouble is not None, fail=n_up == 0)

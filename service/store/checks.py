@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from pipeline.frames import rfc3339
-from service.base.status import Checks, CheckStatus, HealthCheck, trouble_check
+from service.base.status import Checks, HealthCheck, health_check, trouble_check
 from service.store.retention import Disk, RetentionLimits
 from service.store.store import Store
 from service.store.trouble import StoreTrouble
@@ -62,24 +62,17 @@ def store_check(
     aside = [f"store.dir/{incident.removesuffix('.')}" for incident in incidents]
     if aside:
         aside.append("look at it, restore a backup if results are missing, then move it out of store.dir")
-    return HealthCheck(
-        status=CheckStatus.of(warn=bool(aside), fail=bool(held)),
-        observed_value=last_seq,
-        observed_unit="results",
-        detail="; ".join(held + aside) or None,
-    )
+    detail = "; ".join(held + aside) or None
+    return health_check(detail, last_seq, "results", warn=bool(aside), fail=bool(held))
 
 
 def disk_check(free_bytes: int | None) -> HealthCheck:
     """Check that the file system of the store answers and has room."""
     if free_bytes is None:
-        return HealthCheck(status=CheckStatus.FAIL, detail="the file system of store.dir does not answer")
-    return HealthCheck(
-        status=CheckStatus.of(warn=free_bytes < LOW_DISK_BYTES, fail=free_bytes < LOW_DISK_BYTES // 10),
-        observed_value=free_bytes,
-        observed_unit="bytes",
-        detail=f"{free_bytes / 1e9:.1f} GB free for results",
-    )
+        return health_check("the file system of store.dir does not answer", fail=True)
+    is_low, is_lowest = free_bytes < LOW_DISK_BYTES, free_bytes < LOW_DISK_BYTES // 10
+    detail = f"{free_bytes / 1e9:.1f} GB free for results"
+    return health_check(detail, free_bytes, "bytes", warn=is_low, fail=is_lowest)
 
 
 def retention_checks(kept: RetentionFacts) -> Checks:
@@ -90,7 +83,7 @@ def retention_checks(kept: RetentionFacts) -> Checks:
             f"results were removed that {', '.join(kept.overrun)} had not read:"
             " look at that consumer, or delete it (/consumers)"
         )
-    disk_days = HealthCheck(status=CheckStatus.PASS)
+    disk_days = health_check(None)
     if (use := kept.use) is not None:
         is_short = use.days_left is not None and use.days_left < kept.warn_days
         detail = (
@@ -99,12 +92,8 @@ def retention_checks(kept: RetentionFacts) -> Checks:
         )
         if is_short:
             detail += "; then the oldest files are removed: make room, or set limits in [store.retention]"
-        disk_days = HealthCheck(
-            status=CheckStatus.of(warn=is_short),
-            observed_value=None if use.days_left is None else round(use.days_left, 1),
-            observed_unit="days",
-            detail=detail,
-        )
+        days_left = None if use.days_left is None else round(use.days_left, 1)
+        disk_days = health_check(detail, days_left, "days", warn=is_short)
     return {"disk_days": disk_days, "retention": trouble_check("; ".join(problems) or None)}
 
 
