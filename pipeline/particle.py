@@ -20,11 +20,12 @@ from pipeline.meshing import MeshingParameters, ParticleMesh, mesh_hull
 from pipeline.refinement import Refinement, photo_views, refine_body, vertex_greys
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import BackgroundModel, Segmenter, Silhouette, SilhouetteSet, segment_all
-from pipeline.segmentation.optics import ViewOptics, observe_all
+from pipeline.segmentation.optics import observe_all
 from pipeline.segmentation.subtraction import SegmentationParameters
 from pipeline.uncertainty import Cause, QualityParameters, Uncertainty, uncertainty, verdict
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT, Evidence, ViewEvidence, view_evidence
 from pipeline.view_mapper import ViewMapper
+from pipeline.view_optics import ViewOptics
 from pipeline.views.consistency import Consistency, ConsistencyParameters, check_consistency
 from pipeline.views.dropped import DropCause, DroppedView
 from pipeline.views.prepared import PreparedViews, prepare_views

@@ -6,7 +6,6 @@ pixels; sharpness and contrast come from grey profiles across the body's outline
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import pi, sqrt
 from types import MappingProxyType
 
@@ -22,6 +21,7 @@ from pipeline.segmentation.edge_profile import PLATEAU_PX, EdgeProfile, edge_pro
 from pipeline.segmentation.light import LIGHT_BLOCK
 from pipeline.segmentation.silhouette import Silhouette, ViewStatus
 from pipeline.view_mapper import ViewMapper
+from pipeline.view_optics import ViewOptics
 
 UNLOCATED = (ViewStatus.MULTIPLE, ViewStatus.CLIPPED)
 """Views with a body of unknown place, which would count as dark wall."""
@@ -49,23 +49,6 @@ MAX_NOISE_GREY = 40.0
 
 WIDTH_SIGMAS = 2.563
 """Width of a Gaussian edge from 10 to 90 %, in sigmas."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ViewOptics:
-    """Image quality of one camera in one exposure; `None` where the view does not show it."""
-
-    brightness: float  # light on the plain wall, 1: as in the clean rig
-    gradient_uv: tuple[
-        float, float
-    ]  # of the brightness, from the left to the right border and from top to bottom
-    dust: float  # share of the light lost, on average, against the clearest part of the field
-    spots_share: float  # of the plain wall: darker than its surroundings and than in the clean rig
-    saturated_share: float  # of all pixels
-    noise_grey: float  # standard deviation of a pixel from exposure to exposure
-    edge_width_px: float | None  # of the body's outline, from 10 to 90 %
-    edge_widths_uv_px: tuple[float, float] | None  # the same of blurred edges across u, and of those across v
-    contrast: float | None  # of body and wall at the outline, as a share of the wall's level
 
 
 def observe_all(

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.frames import CameraId
-from pipeline.segmentation.optics import ViewOptics
 from pipeline.segmentation.silhouette import UNKNOWN, Silhouette
+from pipeline.view_optics import ViewOptics
 from pipeline.views.consistency import Consistency
 from pipeline.views.prepared import PreparedViews
 from pipeline.views.quality import share_unseen

@@ -8,7 +8,7 @@ Whether a view is used is decided for each stone alone, by the pipeline, never h
 
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from enum import IntEnum
 from itertools import pairwise
 from math import hypot, sqrt
@@ -154,7 +154,7 @@ class OpticalWatch:
 
     def feed(self, record: Result) -> None:
         """Take one result into account."""
-        self.feed_optics({name: seen.model_dump() for name, seen in record.optics.items()})
+        self.feed_optics({name: asdict(seen) for name, seen in record.optics.items()})
 
     def feed_optics(self, optics: Mapping[str, Mapping[str, Any]]) -> None:
         """Take the optics of one exposure into account, as `service.results.record.optics_record` writes them."""

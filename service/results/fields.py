@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from pipeline.view_optics import ViewOptics
 from service.base.schema import Time, always_present
 
 ONLY_IF_MEASURED = "null unless measured"
@@ -79,28 +80,6 @@ class Hull(BaseModel):
     volume_mm3: float = Field(description="Volume of the visual hull, mm³")
     surface_area_mm2: float = Field(description="Surface area of the visual hull, mm²")
     equivalent_diameter_mm: float = Field(description="Diameter of the sphere of that volume, mm")
-
-
-class RecordedOptics(BaseModel):
-    """How well a camera saw one exposure, compared with the clean rig."""
-
-    brightness: float = Field(description="Light on the wall beside the stone, 1: as in the clean rig")
-    gradient_uv: list[float] = Field(
-        description="Change of the brightness from the left border to the right and from the upper to the lower one"
-    )
-    dust: float = Field(description="Share of the light lost in patches, 0..1")
-    spots_share: float = Field(description="Share of the view darker than its surroundings, 0..1")
-    saturated_share: float = Field(description="Share of all pixels that are saturated, 0..1")
-    noise_grey: float = Field(description="Noise of a pixel, grey levels")
-    edge_width_px: float | None = Field(
-        description="Width of the outline from 10 to 90 %, px; null without one"
-    )
-    edge_widths_uv_px: list[float] | None = Field(
-        description="The same of blurred edges across u, and of those across v; null for a sharp outline"
-    )
-    contrast: float | None = Field(
-        description="Contrast of stone and wall at the outline, share of the wall's level"
-    )
 
 
 Number = Annotated[float | None, ONLY_IF_MEASURED]
@@ -258,7 +237,7 @@ class Result(BaseModel):
     """Epipolar residual of each camera, the median over its pairs, px; from 0.3 the camera has moved"""
     image_shifts_px: dict[str, list[float]] = {}
     """Shift (u, v) of the stone in each camera's image from where the other views expect it, px"""
-    optics: dict[str, RecordedOptics] = {}
+    optics: dict[str, ViewOptics] = {}
     """How well each camera saw this stone"""
     timings_ms: dict[str, float] = {}
     """Computing time of each stage, ms"""

@@ -9,7 +9,7 @@ from typing import Any
 from pipeline.fall import extent_is_plausible, vertical_extent_mm
 from pipeline.frames import CameraId, Trigger
 from pipeline.particle import ParticleMeasurement, ParticleResult
-from pipeline.segmentation.optics import ViewOptics
+from pipeline.view_optics import ViewOptics
 from service.results.fields import MEASURED_FIELDS, STORED_FIELDS, Hull, Outcome, Result
 from service.results.version import ALGORITHM_VERSION
 
@@ -21,7 +21,7 @@ OPTICS_DIGITS = {
     "brightness": 4, "gradient_uv": 4, "dust": 4, "spots_share": 4, "saturated_share": 5, "noise_grey": 2,
     "edge_width_px": 2, "edge_widths_uv_px": 2, "contrast": 3,
 }  # fmt: skip
-"""Fields of `service.results.fields.RecordedOptics`, and the digits after the point that one exposure shows."""
+"""Fields of `pipeline.view_optics.ViewOptics`, and the digits after the point that one exposure shows."""
 
 
 def result_of(document: Mapping[str, Any]) -> Result:

@@ -89,7 +89,6 @@ FORMER = {
     "Product": "ProductVersion",
     "ProductDefinition": "ProductRequest",
     "MappingForm": "Form",
-    "RecordedOptics": "ViewOptics",
     "Repeatability": "Scatter",
     "Run": "RunDocument",
     "SampleStudy": "RepeatabilityDocument",

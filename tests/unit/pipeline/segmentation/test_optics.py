@@ -20,7 +20,6 @@ from pipeline.segmentation.optics import (
     SAMPLED_ROWS,
     SPOT_CONTRAST,
     SURROUNDINGS_BLOCKS,
-    ViewOptics,
     _fill_levels,
     _fill_light,
     _fit_plane,
@@ -35,6 +34,7 @@ from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.disturbance import UNDISTURBED, Disturbance, dimmed_sector, dust, flicker
 from pipeline.synthesis.exposure import ExposureParameters
 from pipeline.synthesis.renderer import PlacedBody, RenderedRig, photograph, simulate_rig
+from pipeline.view_optics import ViewOptics
 
 C05 = CameraId("c05")
 RIG = rendered.rig()

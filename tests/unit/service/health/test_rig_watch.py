@@ -11,8 +11,9 @@ from support.outlines import seen_by, stone_outlines, stone_points, watch_record
 
 from pipeline.frames import CameraId
 from pipeline.rig.design import as_built, nominal_rig
+from pipeline.view_optics import ViewOptics
 from service.health.rig_watch import MIN_STONES, REMEDY, WINDOW, RigWatch, Suspicion
-from service.results.fields import RecordedOptics, Result
+from service.results.fields import Result
 
 RIG = as_built(nominal_rig(), seed=3)
 C05 = CameraId("c05")
@@ -134,8 +135,16 @@ def test_outlines_that_differ_without_a_shift_are_not_called_a_move():
     assert "turned about its line of sight, out of focus, or dirty" in detail
 
 
+def optics_of(edge_width_px: float) -> ViewOptics:
+    clean = dict.fromkeys(("dust", "spots_share", "saturated_share"), 0.0)
+    return ViewOptics(
+        brightness=1.0, gradient_uv=(0.0, 0.0), noise_grey=1.3, edge_width_px=edge_width_px, edge_widths_uv_px=None,
+        contrast=None, **clean,
+    )  # fmt: skip
+
+
 def test_outlines_that_are_blurred_disagree_more_without_having_moved():
-    blurred = {camera: RecordedOptics.model_construct(edge_width_px=4 * 2.6) for camera in RIG.camera_ids}
+    blurred = {camera: optics_of(edge_width_px=4 * 2.6) for camera in RIG.camera_ids}
     stone = record(dict.fromkeys(RIG.camera_ids, 0.5)).model_copy(update={"optics": blurred})
     assert not fed(*[stone] * WINDOW).suspicions()
     moved = record({"c05": 1.3}, (2.0, 0.5)).model_copy(update={"optics": blurred})
@@ -143,8 +152,8 @@ def test_outlines_that_are_blurred_disagree_more_without_having_moved():
 
 
 def test_a_sharp_camera_is_compared_with_the_blurred_ones():
-    blurred = {camera: RecordedOptics.model_construct(edge_width_px=4 * 2.6) for camera in RIG.camera_ids} | {
-        "c05": RecordedOptics.model_construct(edge_width_px=2.6)
+    blurred = {camera: optics_of(edge_width_px=4 * 2.6) for camera in RIG.camera_ids} | {
+        "c05": optics_of(edge_width_px=2.6)
     }
     stone = record({"c05": 0.5}, (0.7, 0.2)).model_copy(update={"optics": blurred})
     assert not fed(*[stone] * WINDOW).suspicions()
