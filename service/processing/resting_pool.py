@@ -22,7 +22,8 @@ class RestingPool:
 
     async def run(self, function: Callable[[Job], Result], job: Job) -> Result:
         """Run a job in the pool, which is started if it rests; raise `CancelledError` if it is closed."""
-        self._stay()
+        if self._resting is not None:
+            self._resting.cancel()
         self._n_jobs += 1
         try:
             return await (await self._started()).run(function, job)
@@ -35,11 +36,7 @@ class RestingPool:
         async with self._starting:
             if self._pool is None and not self._is_closed:
                 pool = self._make_pool()
-                try:
-                    await pool.start()
-                except BaseException:
-                    pool.close()
-                    raise
+                await pool.start()
                 self._pool = pool
             if self._is_closed:  # maybe while it started
                 self.rest()
@@ -47,14 +44,10 @@ class RestingPool:
                 raise asyncio.CancelledError
             return self._pool
 
-    def _stay(self) -> None:
-        if self._resting is not None:
-            self._resting.cancel()
-            self._resting = None
-
     def rest(self) -> None:
         """End the processes, and what runs in them; they are started again when they are needed."""
-        self._stay()
+        if self._resting is not None:
+            self._resting.cancel()
         if self._pool is not None:
             self._pool.close()
             self._pool = None

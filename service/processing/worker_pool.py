@@ -141,19 +141,19 @@ class WorkerPool:
         return {"workers": workers_check(len(self.pids), self.size, self.restarts, self.trouble)}
 
     async def __aenter__(self) -> Self:
-        try:
-            await self.start()
-        except BaseException:
-            self.close()
-            raise
+        await self.start()
         return self
 
     async def __aexit__(self, *error: object) -> None:
         self.close()
 
     async def start(self) -> None:
-        """Return when every worker is warm; raise `WorkerStartError` when one cannot be."""
-        await asyncio.gather(*(slot.start() for slot in self._slots))
+        """Return when every worker is warm; raise `WorkerStartError` when one cannot be, and none is left then."""
+        try:
+            await asyncio.gather(*(slot.start() for slot in self._slots))
+        except BaseException:
+            self.close()
+            raise
         for slot in self._slots:
             self._idle.put_nowait(slot)
 
