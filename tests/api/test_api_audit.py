@@ -12,7 +12,7 @@ from typing import Any
 import httpx
 import pytest
 from support.calibration_desk import a_drop, solve
-from support.outcomes import add, measured
+from support.outcomes import add, measured, result
 from support.recordings import make_bundle
 from support.remeasuring import AgainPool, add_old
 from support.rest import FakeControl, app_of, client_of
@@ -134,11 +134,7 @@ async def write_everything(
     await write("POST", "/verifications", {"count": 2}, "verification begun", "0002")
     for _ in range(2):
         assert desk.collector is not None
-        ball = {
-            "equivalent_diameter_mm": 15.0,
-            "calibration_id": desk.rig_file.calibration_id,
-            "detail": None,
-        }
+        ball = result(equivalent_diameter_mm=15.0, calibration_id=desk.rig_file.calibration_id)
         await desk.collector.add(a_drop(), ball, None)
     why = {"reason": "another ball"}
     void = await write("POST", f"{verify}void", why, "verification voided", "0002", verification="0002")

@@ -7,6 +7,7 @@ from pathlib import Path
 import httpx
 import pytest
 from support.calibration_desk import CONFIGURED, a_drop, open_desk, other_rig
+from support.outcomes import result
 from support.rest import FakeControl, app_of, client_of
 
 from pipeline.rig.document import rig_from_document
@@ -26,7 +27,7 @@ async def test_from_the_first_drop_to_the_roll_back(client: httpx.AsyncClient, c
     assert (begun.json()["by"], begun.json()["note"]) == ("an engineer", "after the new lens")
     assert control.calibrations is not None
     assert control.calibrations.collector is not None
-    await control.calibrations.collector.add(a_drop(), {}, None)
+    await control.calibrations.collector.add(a_drop(), result(), None)
     collecting = (await client.get("/calibrations/0002")).json()
     assert [drop["views"] for drop in collecting["drops"]] == [["c01"]]
     assert collecting["residuals_before_px"] == {"c01": 2.0}
@@ -131,11 +132,7 @@ async def test_a_verification_and_its_verdict(client: httpx.AsyncClient, control
     assert control.calibrations is not None
     for _ in range(2):
         assert control.calibrations.collector is not None
-        record = {
-            "equivalent_diameter_mm": 15.2,
-            "calibration_id": CONFIGURED.calibration_id,
-            "detail": None,
-        }
+        record = result(equivalent_diameter_mm=15.2, calibration_id=CONFIGURED.calibration_id)
         await control.calibrations.collector.add(a_drop(), record, None)
     verdict = (await client.get("/verifications/0001")).json()
     assert verdict["state"] == VerificationState.FAILED

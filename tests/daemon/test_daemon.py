@@ -1,5 +1,6 @@
 """The real process on a small recording: what is promised to the plant when things go well and when not."""
 
+import json
 import multiprocessing
 import os
 import signal
@@ -31,6 +32,7 @@ from service.processing.measure_job import (
     learn_background,
     measure,
 )
+from service.results.record import document_of
 from service.store import open_store
 from service.store.accounting import Accounting, accounting
 from service.store.schema import connect_reader
@@ -86,7 +88,8 @@ def measured_offline(path: Path, out: Path) -> list[dict[str, Any]]:
                 out_dir=out / header.name,
             )
             record = worker.submit(measure, job).result().record
-            records.append(record | {"mesh": (job.out_dir / COMPACT_MESH).read_bytes()})
+            document = json.loads(json.dumps(document_of(record)))
+            records.append(document | {"mesh": (job.out_dir / COMPACT_MESH).read_bytes()})
     return records
 
 

@@ -12,6 +12,7 @@ from service.base.errors import ServiceError, UsageError
 from service.commands.cli import build_app
 from service.commands.compare import revisions_of_lot
 from service.commands.daemon_client import DaemonClient
+from service.results.record import document_of
 from service.results.version import CHANGES
 
 N_STONES = 4
@@ -26,7 +27,7 @@ def stones(**fields: Any) -> list[dict[str, Any]]:
         "min_feret_mm": 14.0,
     }
     return [
-        measured(volume_mm3=1000.0 * number, sieve_size_mm=10.0 * number, **shape)
+        document_of(measured(volume_mm3=1000.0 * number, sieve_size_mm=10.0 * number, **shape))
         | {"bundle": f"s{number}", "kind": "particle", "captured_at": "2026-01-01T00:00:00Z"}
         for number in range(1, N_STONES + 1)
     ]
