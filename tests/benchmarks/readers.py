@@ -47,6 +47,7 @@ from drivers.files.recording import open_recording
 from pipeline.gradation.stones import DEVIATIONS, MEASURES
 from pipeline.synthesis.bundles import TRIGGER_DELAY_NS
 from service.results.fields import STORED_FIELDS
+from service.results.record import result_of
 from service.store import open_store
 
 SEED = 12
@@ -187,7 +188,7 @@ async def fill(state: Path, n_stones: int) -> None:
             files = {}
             if number < N_WITH_MESH:
                 files = {"mesh.sfmesh": Path(shutil.copy(mesh, state / "copy.sfmesh"))}
-            await add(store, session, number, fields, files)
+            await add(store, session, number, result_of(fields), files)
 
 
 def trigger_times_s(watched: Watched, n_before: int, due_s: np.ndarray) -> np.ndarray:

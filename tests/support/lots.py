@@ -5,6 +5,8 @@ from typing import Any
 import httpx
 from support.outcomes import measured
 
+from service.results.fields import Result
+
 PRODUCT = {
     "title": "8/16 basalt",
     "density_kg_m3": 2700,
@@ -15,7 +17,7 @@ PRODUCT = {
 }
 
 
-def stone(size_mm: float, **fields: Any) -> dict[str, Any]:
+def stone(size_mm: float, **fields: Any) -> Result:
     """Return the record of a cube-like stone."""
     edges = {"length_mm": size_mm, "width_mm": size_mm, "thickness_mm": 0.8 * size_mm}
     ferets = {"max_feret_mm": 1.5 * size_mm, "min_feret_mm": 0.8 * size_mm}

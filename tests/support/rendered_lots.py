@@ -34,7 +34,7 @@ from pipeline.synthesis.stones import STONE_FORMS, stone
 from service.lots.stones import stone_of
 from service.processing.models.networks import read_model
 from service.processing.segmenters import SegmenterPlan, build_segmenter
-from service.results.record import result_record
+from service.results.record import document_of, result_record
 
 FORM_SHARES: Mapping[str, float] = {
     "angular": 0.28,
@@ -133,7 +133,7 @@ def recorded(result: ParticleResult, bundle: FrameBundle, scene: EvaluationScene
         speed_at_gate_mm_s=Fall().speed_at_gate_mm_s,
         timings_ms={},
     )
-    return stone_of(record)
+    return stone_of(document_of(record))
 
 
 def measure_job(job: tuple[range, int, Sequence[Pair], BodyKind]) -> list[Row]:

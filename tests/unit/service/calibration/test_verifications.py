@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from support.calibration_desk import a_drop
+from support.outcomes import result
 
 from service.calibration import verifications
 from service.calibration.verification_limits import VerificationParameters
@@ -18,7 +19,7 @@ from service.calibration.verifications import (
     VerificationState,
     open_verifications,
 )
-from service.results.fields import Verified
+from service.results.fields import Result, Verified
 
 PLAN = VerificationRequest(diameter_mm=15.0, count=3)
 
@@ -27,9 +28,9 @@ def opened(folder: Path, **parameters: float) -> Verifications:
     return open_verifications(folder, VerificationParameters(**parameters))
 
 
-def record(diameter_mm: float | None, calibration_id: str = "rig") -> dict[str, Any]:
+def record(diameter_mm: float | None, calibration_id: str = "rig") -> Result:
     detail = "the body leaves the image" if diameter_mm is None else None
-    return {"equivalent_diameter_mm": diameter_mm, "calibration_id": calibration_id, "detail": detail}
+    return result(equivalent_diameter_mm=diameter_mm, calibration_id=calibration_id, detail=detail)
 
 
 async def let_fall(

@@ -1,7 +1,7 @@
 import asyncio
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from service.processing.left_bundles import LeftBundle
 from service.processing.measure_job import LearnJob, MeasureJob, RigFile
 from service.processing.spool import Loss
 from service.processing.worker_pool import JobLostError
-from service.results.fields import LossReason
+from service.results.fields import LossReason, Result
 
 
 async def test_results_are_committed_in_trigger_order_whichever_is_ready_first(tmp_path: Path):
@@ -172,7 +172,7 @@ async def test_a_full_disk_costs_a_calibration_its_ball_and_not_the_daemon(
     class FullDesk(Desk):
         @property
         def collector(self) -> DropCollector | None:
-            async def add(drop: ObservedDrop, record: Mapping[str, Any], outlines: Path | None) -> None:
+            async def add(drop: ObservedDrop, record: Result, outlines: Path | None) -> None:
                 raise OSError(28, "No space left on device")
 
             return DropCollector(kind=BundleKind.BALL, diameters_mm=(10.0,), add=add)
