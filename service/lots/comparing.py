@@ -17,7 +17,7 @@ from service.lots.evaluation import figures_of
 from service.lots.figures import SHARES, LotFigures, named_figures
 from service.lots.lots import find_lot
 from service.lots.products import find_product
-from service.lots.stones import ALL_STONES, Choice, Stones, stones_of_lot
+from service.lots.stones import Choice, Stones, stones_of_lot
 from service.lots.yardsticks import Request
 
 
@@ -27,11 +27,6 @@ class Side:
 
     lot: str
     algorithm_version: str | None = None
-
-    @property
-    def choice(self) -> Choice:
-        """The choice of stones of the lot."""
-        return Choice(algorithm_version=self.algorithm_version) if self.algorithm_version else ALL_STONES
 
 
 class ComparedFigure(Report):
@@ -85,7 +80,10 @@ def compare_lots(connection: sqlite3.Connection, a: Side, b: Side, request: Requ
     if record is None or find_lot(connection, b.lot) is None:
         return None
     product = find_product(connection, record.product, record.product_version)
-    stones = [stones_of_lot(connection, side.lot, side.choice) for side in (a, b)]
+    stones = [
+        stones_of_lot(connection, side.lot, Choice(algorithm_version=side.algorithm_version or None))
+        for side in (a, b)
+    ]
     found = [figures_of(each, request, product, record) for each in stones]
     is_paired = a.lot == b.lot
     return LotComparison(

@@ -17,8 +17,8 @@ from pipeline.gradation.estimators import sample_of
 from pipeline.gradation.evaluation import Gradation, evaluate
 from pipeline.gradation.indices import LotIndices
 from pipeline.gradation.sieves import MeasuredRange
-from pipeline.gradation.specification import Judgement, LotJudgement, Specification, Verdict, judge
-from pipeline.gradation.stones import Fate, Lot, UnmeasuredMass
+from pipeline.gradation.specification import Judgement, LotJudgement, Verdict, judge
+from pipeline.gradation.stones import Fate, Lot
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
 from service.lots.figures import (
     INDICES,
@@ -109,13 +109,17 @@ def figures_of(
     scale_sd = LENGTH_SD_PERCENT / 100
     gradation = evaluate(stones.lot, apertures_mm, measured=yardstick.measured, scale_sd=scale_sd)
     judgement = None if specification is None else judge(specification, gradation)
+    name = None if specification is None else specification.name
     upper_mm = None if product is None else product.upper_mm
+    missing = {f"{each.fate}: {each.reason}": each.n_stones for each in gradation.unmeasured.counts}
     fates: Counter[Fate] = Counter()
     for (fate, _), n_stones in stones.lot.counts.items():
         fates[fate] += n_stones
     return LotFigures(
         lot=record,
-        product=None if product is None else _product(product, specification),
+        product=None
+        if product is None
+        else ProductDocument.model_validate(asdict(product) | {"specification": name}),
         since=stones.since,
         until=stones.until,
         triggers=sum(fates.values()),
@@ -128,7 +132,7 @@ def figures_of(
         mass_kg=None if product is None else gradation.volume_mm3 * 1e-9 * product.density_kg_m3,
         n_effective=gradation.n_effective,
         sieve_set=yardstick.sieves.name,
-        specification=None if specification is None else specification.name,
+        specification=name,
         specification_source=None if specification is None else specification.source,
         curve=_curve(gradation, judgement, rate_per_s),
         correlated=None if correlation is None else _correlated(stones.lot, correlation, yardstick),
@@ -139,7 +143,7 @@ def figures_of(
         verdict=None if judgement is None else judgement.verdict,
         is_partial=judgement is not None and judgement.is_partial,
         countdown=None if judgement is None else countdown(judgement, rate_per_s),
-        unmeasured=_unmeasured(gradation.unmeasured),
+        unmeasured=Unmeasured.model_validate(asdict(gradation.unmeasured) | {"by_reason": missing}),
         least_portion_kg=None
         if upper_mm is None
         else standards().least_portions[LEAST_PORTIONS].least_kg(upper_mm),
@@ -174,16 +178,6 @@ def _wait(judgement: Judgement, rate_per_s: float) -> str:
         return ""
     seconds = judgement.seconds(rate_per_s)
     return f" (about {judgement.more_stones} stones{'' if seconds is None else f', {seconds:.0f} s'} more)"
-
-
-def _product(product: Product, specification: Specification | None) -> ProductDocument:
-    return ProductDocument(
-        product=product.product,
-        version=product.version,
-        title=product.title,
-        density_kg_m3=product.density_kg_m3,
-        specification=None if specification is None else specification.name,
-    )
 
 
 def _curve(gradation: Gradation, judgement: LotJudgement | None, rate_per_s: float) -> list[CurveStep]:
@@ -259,13 +253,4 @@ def _decision(judgement: Judgement | None, rate_per_s: float) -> Decision | None
         limits=Range(**asdict(judgement.limits)),
         more_stones=judgement.more_stones,
         more_s=judgement.seconds(rate_per_s),
-    )
-
-
-def _unmeasured(found: UnmeasuredMass) -> Unmeasured:
-    return Unmeasured(
-        n_stones=found.n_stones,
-        by_reason={f"{each.fate}: {each.reason}": each.n_stones for each in found.counts},
-        expected_percent=found.expected_percent,
-        at_most_percent=found.at_most_percent,
     )

@@ -106,7 +106,7 @@ def open_lot(
             raise UnknownProductError(f"there is no product {name}")
         existing = find_lot(connection, definition.lot)
         if existing is not None:
-            same = (_definition(existing), existing.product, existing.product_version)
+            same = (definition_of(existing), existing.product, existing.product_version)
             if existing.state is LotState.OPEN and same == (definition, product, found.version):
                 return existing
             raise LotConflictError(f"lot {definition.lot} exists already and is {existing.state}")
@@ -133,7 +133,7 @@ def close_lot(
             return before
         if before.state is LotState.VOID:
             raise LotConflictError(f"lot {lot} is void")
-        definition = _definition(before)
+        definition = definition_of(before)
         if tonnage_t is not None:
             definition = replace(definition, tonnage_t=tonnage_t)
         connection.execute(
@@ -239,7 +239,8 @@ def _lots(
     ]
 
 
-def _definition(lot: LotDocument) -> LotDefinition:
+def definition_of(lot: LotDocument | LotDefinition) -> LotDefinition:
+    """Return what the plant says of a lot, alone."""
     return LotDefinition(**{each.name: getattr(lot, each.name) for each in fields(LotDefinition)})
 
 
@@ -250,10 +251,7 @@ def facts_of(lot: LotDocument) -> dict[str, Any]:
 
 
 def _existing(connection: sqlite3.Connection, lot: str) -> LotDocument:
-    found = find_lot(connection, lot)
-    if found is None:
-        raise KeyError(lot)
-    return found
+    return _lots(connection, "lot = ?", (lot,), 1)[0]
 
 
 def _noted(
@@ -274,7 +272,7 @@ def _noted(
 
 def _audited(lot: LotDocument) -> dict[str, Any]:
     """Return a lot as the audit has it: what the plant says of it is a part of its own."""
-    definition = asdict(_definition(lot))
+    definition = asdict(definition_of(lot))
     facts = {name: value for name, value in facts_of(lot).items() if name not in definition}
     return {"definition": definition, **facts}
 

@@ -6,7 +6,7 @@ from functools import partial
 from itertools import groupby
 from math import isfinite, log
 
-from pipeline.gradation.estimates import Estimate, State
+from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.specification import Verdict
 from service.base.language import Language
 from service.lots.figures import CurveStep
@@ -98,7 +98,7 @@ def gradation_curve(
 
 def shown_steps(steps: Sequence[CurveStep]) -> list[CurveStep]:
     """Return the steps by rising sieve, without those far from all that was measured or has limits."""
-    ordered = sorted((step for step in steps if step.sieve_mm > 0), key=lambda step: step.sieve_mm)
+    ordered = sorted(steps, key=lambda step: step.sieve_mm)
     telling = [i for i, step in enumerate(ordered) if _has_value(step) or step.decision is not None]
     if not telling:
         return ordered
@@ -133,8 +133,7 @@ class _Axes:
 
 
 def _has_value(step: CurveStep) -> bool:
-    value = step.passing_percent.value
-    return step.passing_percent.state is not State.NOT_MEASURED and value is not None and isfinite(value)
+    return step.passing_percent.value is not None
 
 
 def _percent(step: CurveStep) -> float:

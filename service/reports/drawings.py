@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from service.base.language import Language
 from service.lots.evaluation import lot_figures, passing_of, window_figures
 from service.lots.figures import LotFigures
-from service.lots.stones import ALL_STONES, Choice, stones_of_lot
+from service.lots.stones import Choice, stones_of_lot
 from service.lots.yardsticks import Request
 from service.reports.curve import Beside, curve_svg
 from service.reports.words import words
@@ -52,12 +52,11 @@ def _curve_svg(
     version, beside = wanted.beside_algorithm_version, None
     other = wanted.beside_lot or (lot if version else None)
     if other is not None:
-        choice = ALL_STONES if version is None else Choice(algorithm_version=version)
         beside = Beside(
             first_name=name,
             name=_name(other, version, wanted.language),
             passing_percent=passing_of(
-                stones_of_lot(connection, other, choice).lot,
+                stones_of_lot(connection, other, Choice(algorithm_version=version)).lot,
                 [step.sieve_mm for step in figures.curve],
                 wanted.figures.measured,
             ),

@@ -2,7 +2,6 @@
 
 import json
 from base64 import b64encode
-from contextlib import suppress
 from dataclasses import fields
 from datetime import datetime
 from functools import cache, partial
@@ -65,15 +64,12 @@ def render_pdf(data: ReportData, font_folder: Path = DEJAVU) -> bytes:
     """Return the report as PDF, in DejaVu Sans if the folder has it, else in the serifs that typst brings."""
     document = document_of(data)
     report = json.dumps(document, default=partial(_jsonable, language=data.language), ensure_ascii=False)
-    created_at_s = None
-    with suppress(ValueError):
-        created_at_s = int(datetime.fromisoformat(document.created_at).timestamp())
     pdf = typst.compile(
         TEMPLATES / "page.typ",
         sys_inputs={"report": report.encode("utf-8", "replace").decode()},
         font_paths=[font_folder],
         ignore_system_fonts=True,
-        timestamp=created_at_s,
+        timestamp=int(datetime.fromisoformat(document.created_at).timestamp()),
     )
     empty = typst.Compiler(ignore_system_fonts=True)  # empties the cache
     for _ in range(CACHED):

@@ -32,7 +32,8 @@ def render_xlsx(data: ReportData) -> bytes:
     file, say = BytesIO(), words(data.language)
     with Workbook(file, OPTIONS) as workbook:
         sheets = _Sheets(workbook)
-        workbook.set_properties({"title": document_of(data).title[:200], "created": _created(data)})
+        created_at = datetime.fromisoformat(data.created_at).replace(tzinfo=None)
+        workbook.set_properties({"title": document_of(data).title[:200], "created": created_at})
         _curve(sheets, data, say)
         _indices(sheets, data, say)
         _laboratory(sheets, data, say)
@@ -73,13 +74,6 @@ class _Sheets:
                     case int() | float() if isfinite(value):
                         sheet.write_number(row, column, value)
         return row + 1
-
-
-def _created(data: ReportData) -> datetime:
-    try:
-        return datetime.fromisoformat(data.created_at).replace(tzinfo=None)
-    except ValueError:
-        return datetime(2000, 1, 1)
 
 
 def _figure(figure: Estimate, decision: Decision | None, say: Words) -> tuple[Scalar, ...]:

@@ -3,7 +3,7 @@
 import re
 import sqlite3
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Response
@@ -19,6 +19,7 @@ from service.lots.lots import (
     Tonnage,
     assign,
     close_lot,
+    definition_of,
     facts_of,
     find_lot,
     lots,
@@ -49,10 +50,6 @@ class LotRequest(LotDefinition):
     """Material definition."""
     product_version: Annotated[int, Field(ge=1, le=MAX_SEQ, strict=True)] | None = None
     """The newest when absent."""
-
-    @property
-    def definition(self) -> LotDefinition:
-        return LotDefinition(**{each.name: getattr(self, each.name) for each in fields(LotDefinition)})
 
 
 class CloseRequest(BaseModel):
@@ -110,7 +107,7 @@ async def post_lot(context: Context, wanted: LotRequest, response: Response, ask
     """
     context.store.require_writable()
     record = await context.store.write(
-        open_lot, wanted.definition, wanted.product, wanted.product_version, asking
+        open_lot, definition_of(wanted), wanted.product, wanted.product_version, asking
     )
     response.headers["Location"] = f"{BASE}/lots/{wanted.lot}"
     return _served(response, record)

@@ -75,7 +75,7 @@ class Noted(UserDict[str, str]):
 def used_keys() -> Iterator[str]:
     """Yield the keys that the sources name, also as the names of facts, and those of the words of the REST contract."""
     sections = "|".join({key.partition(".")[0] for key in ENGLISH.texts})
-    for path in SOURCES.glob("*.py"):
+    for path in SOURCES.rglob("*.py"):
         text = path.read_text(encoding="utf-8")
         yield from re.findall(rf"""["']((?:{sections})\.\w+)["']""", text)
         for node in ast.walk(ast.parse(text)):
