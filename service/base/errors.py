@@ -1,19 +1,4 @@
-"""The errors of the service.
-
-::
-
-    ServiceError
-    ├── SettingsError       a configuration file; names the file and every wrong field
-    ├── StoreError          the result store cannot be opened, or a write is wrong; a disk that refuses only holds it
-    ├── VolumeModelError    coefficients of the volume correction; names the file and the field
-    ├── ProblemError        a request that cannot be granted as things are; carries its HTTP status and title
-    │   ├── InvalidRequestError     what was asked for contradicts itself or the store; names the field
-    │   └── TooManyError            as many of a thing are stored as there may be
-    ├── StandardsError      tables of sieves and specifications; names the file and every wrong field
-    └── UsageError          a command's arguments contradict each other or the files they name
-
-`WorkerFailure` is not one of them: it reports a bug or a broken environment.
-"""
+"""The errors of the service; `WorkerFailure` alone is no `ServiceError`: it reports a bug or a broken environment."""
 
 from http import HTTPStatus
 from typing import Any, ClassVar, NamedTuple
@@ -24,11 +9,11 @@ class ServiceError(Exception):
 
 
 class SettingsError(ServiceError):
-    """The configuration cannot be used."""
+    """The configuration cannot be used; names the file and every wrong field."""
 
 
 class StoreError(ServiceError):
-    """The result store cannot be opened, or a write did not become durable."""
+    """The result store cannot be opened, or a write is wrong; a disk that refuses only holds it."""
 
 
 class ProblemKind(NamedTuple):
@@ -75,7 +60,11 @@ class VolumeModelError(ServiceError):
 
 
 class StandardsError(ServiceError):
-    """The tables of sieves and specifications cannot be used."""
+    """The tables of sieves and specifications cannot be used; names the file and every wrong field."""
+
+
+class ClusterError(ServiceError):
+    """The cluster cannot be used, or is gone."""
 
 
 class UsageError(ServiceError):

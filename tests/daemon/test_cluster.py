@@ -71,7 +71,6 @@ def test_a_killed_worker_costs_nothing_and_bits_are_those_of_this_machine(
 ) -> None:
     out = tmp_path / "there"
     with measuring(folder, tmp_path, n_workers=2) as (cluster, command):
-        assert not (cluster.jobs(0)[0].parent / "bundle.tiff").exists()  # frames are read where they lie
         cluster.kill_worker(0)
         assert finished(command) == {"bundles": N_STONES, "measured": N_STONES, "rejected": 0, "lost": 0}
     assert untimed(out) == untimed(folder / "here")
@@ -80,12 +79,8 @@ def test_a_killed_worker_costs_nothing_and_bits_are_those_of_this_machine(
 
 
 @pytest.mark.full
-def test_of_frames_that_are_sent_a_bundle_that_kills_its_processes_is_lost_alone(
-    folder: Path, tmp_path: Path
-) -> None:
-    # this path is another folder to each process, so that workers do not see the frames
-    sent = "/proc/self/cwd/recording"
-    with measuring(folder, tmp_path, n_workers=1, recording=sent) as (cluster, command):
+def test_a_bundle_that_kills_its_processes_is_lost_alone(folder: Path, tmp_path: Path) -> None:
+    with measuring(folder, tmp_path, n_workers=1) as (cluster, command):
         for _ in range(2):
             eventually(lambda: bool(cluster.jobs(0)))
             measurers = [
@@ -94,7 +89,6 @@ def test_of_frames_that_are_sent_a_bundle_that_kills_its_processes_is_lost_alone
             for pid in measurers:
                 os.kill(pid, signal.SIGSTOP)
             (job,) = cluster.jobs(0)
-            assert (job.parent / "bundle.tiff").exists()
             shutil.rmtree(job)  # it comes again with the next attempt
             for pid in measurers:
                 os.kill(pid, signal.SIGKILL)
@@ -124,3 +118,14 @@ def test_without_a_scheduler_it_is_one_line(folder: Path, tmp_path: Path) -> Non
     assert command.returncode == 1
     assert "no scheduler answers at tcp://127.0.0.1:9" in told
     assert "Traceback" not in told
+
+
+@pytest.mark.full
+def test_a_recording_that_is_not_shared_is_named(folder: Path, tmp_path: Path) -> None:
+    # this path is another folder to each process
+    recording = Path("/proc/self/cwd/recording")
+    with LocalCluster(tmp_path / "cluster", n_workers=1) as cluster:
+        command = measure(folder, str(recording), tmp_path / "there", "--executor", cluster.executor)
+        _, told = command.communicate()
+    assert command.returncode == 1
+    assert f"cannot measure: {recording}" in told and "share its folder with all machines" in told

@@ -1,28 +1,19 @@
-"""The address of a cluster, and dask.distributed, which is imported only when a cluster is asked for."""
+"""Open the cluster of `--executor dask://HOST:PORT`; dask.distributed is imported only when one is asked for."""
 
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from urllib.parse import urlsplit
 
-from service.base.errors import ServiceError, UsageError
+from service.base.errors import UsageError
+from service.processing.measure_job import WorkerContext
+from service.processing.worker_pool import JobPool
 
 SCHEME = "dask"
-OUR_SETTINGS = {
-    "distributed.admin.large-graph-warning-threshold": "1GB",  # frames go along with a task, where they must
-    "distributed.comm.timeouts.connect": "10s",
-}
-
-
-class ClusterError(ServiceError):
-    """The cluster cannot be used, or is gone."""
+CONNECT = {"distributed.comm.timeouts.connect": "10s"}
 
 
 def scheduler_address(executor: str) -> str:
-    """Return the scheduler's address of `dask://HOST:PORT`.
-
-    Raises
-    ------
-    UsageError
-        It is none.
-    """
+    """Return the scheduler's address of `dask://HOST:PORT`; raise `UsageError` if it is none."""
     try:
         found = urlsplit(executor)
         host, port = found.hostname, found.port
@@ -33,20 +24,27 @@ def scheduler_address(executor: str) -> str:
     return f"tcp://{found.netloc}"
 
 
-def require_distributed() -> None:
-    """Check that dask.distributed is installed, and set it up to warn of nothing that is meant.
+@asynccontextmanager
+async def open_cluster(executor: str, context: WorkerContext) -> AsyncIterator[JobPool]:
+    """Provide the pool of the cluster at `dask://HOST:PORT`, which has one worker at least.
 
     Raises
     ------
     UsageError
-        It is not installed.
+        That is no address, or the extra is not installed.
+    ClusterError
+        The scheduler does not answer, or no worker joins it.
     """
+    address = scheduler_address(executor)
     try:
         import dask
-        import distributed  # noqa: F401 - only whether it is there
+
+        from service.remeasuring.cluster.pool import connected_pool
     except ImportError as err:
         raise UsageError(
             f"--executor needs the extra [cluster], which is not installed ({err}):"
             " pip install --require-hashes -r deploy/requirements-cluster.lock"
         ) from None
-    dask.config.set(OUR_SETTINGS)
+    dask.config.set(CONNECT)
+    async with connected_pool(address, context) as pool:
+        yield pool

@@ -1,45 +1,29 @@
 """A cluster in the place of the worker processes of this machine.
 
-The cluster holds nothing but bundles in flight. When a worker dies, dask gives its bundles to others. A worker that
-lacks a content says so at once, gets it, and the bundle is given out anew: what joins later, or comes back, needs
-nothing in advance. Frames are read where they lie; once a worker does not see them they are sent along.
+The cluster holds nothing but bundles in flight. When a worker dies, dask gives its bundles to others, and what joins
+later, or comes back, is given the same processes: all of it finds its files below the same shared paths.
 """
 
 import asyncio
 import logging
-import pickle
-from collections import OrderedDict
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 from uuid import uuid4
 
 from distributed import CancelledError, Client, KilledWorker
 
 from drivers.errors import RecordingError
 from drivers.files.recording import read_header
+from service.base.errors import ClusterError
 from service.processing.measure_job import MeasuredBundle, MeasureJob, WorkerContext, prepare_to_learn
 from service.processing.resting_pool import RestingPool
 from service.processing.segmenters import CLASSICAL
 from service.processing.worker_pool import Job, JobLostError, Result, WorkerPool
-from service.remeasuring.cluster.contents import Content, content_of, read_content
-from service.remeasuring.cluster.executor import ClusterError
-from service.remeasuring.cluster.tasks import (
-    CONTEXT,
-    Answer,
-    ClusterJob,
-    Failed,
-    MeasuredFiles,
-    Missing,
-    Unfit,
-    Unreadable,
-    UnseenFileError,
-    installed_versions,
-    keep,
-    measure_here,
-)
+from service.remeasuring.cluster.tasks import Answer, ClusterJob, Failed, Processes, digest_of, measure_here
 from service.results.fields import LossReason
 
 log = logging.getLogger(__name__)
@@ -49,10 +33,8 @@ JOIN_S = 30.0
 LOOK_S = 5.0
 """Time between two looks at whether there is a worker."""
 LEARN_DEADLINE_S = 600.0
-N_CONTENTS = 4
-"""Contents that are remembered by their path: the calibration and the latest backgrounds."""
-SENT_AHEAD = 2
-"""Bundles whose frames are sent while the workers measure others, 21 MB each at most."""
+N_DIGESTS = 4
+"""Digests that are remembered by path: of the calibration and the latest backgrounds."""
 
 
 @asynccontextmanager
@@ -62,18 +44,22 @@ async def connected_pool(address: str, context: WorkerContext) -> AsyncIterator[
         client = await Client(address, asynchronous=True, name="stonefall")
     except (OSError, TimeoutError) as err:
         raise ClusterError(f"no scheduler answers at {address}: {err}") from None
+    processes = Processes(context)
     try:
         try:
             await client.wait_for_workers(1, timeout=JOIN_S)
         except TimeoutError:
             raise ClusterError(f"no worker has joined the scheduler at {address}") from None
-        pool = ClusterPool(client, context, size=sum((await client.nthreads()).values()))
+        await client.register_plugin(processes)  # with each worker, also with those that join later
+        pool = ClusterPool(client, processes.name, context, size=sum((await client.nthreads()).values()))
         watching = asyncio.create_task(_watch(client))
         try:
             yield pool
         finally:
             watching.cancel()
             pool.close()
+            with suppress(TimeoutError, OSError):
+                await client.unregister_worker_plugin(processes.name)
     finally:
         with suppress(TimeoutError, OSError):
             await client.close()
@@ -94,27 +80,20 @@ async def _watch(client: Client) -> None:
 class ClusterPool:
     """Measures bundles on a cluster; backgrounds are learnt here. All on the event loop."""
 
-    def __init__(self, client: Client, context: WorkerContext, *, size: int) -> None:
+    def __init__(self, client: Client, processes: str, context: WorkerContext, *, size: int) -> None:
         """`size`: of bundles that the workers measure at a time."""
         self._client = client
-        self._context = content_of({CONTEXT: pickle.dumps(context)})
+        self._processes = processes
         self.size = size
         self.n_waiting = 0  # bundles of an archive wait for as long as it takes
+        self.threads_per_job = 1
         learning = replace(context, segmentation=CLASSICAL)
         self._here = RestingPool(
             lambda: WorkerPool(
                 slots=1, deadline_s=LEARN_DEADLINE_S, prepare=prepare_to_learn, context=learning
             )
         )
-        self._contents: OrderedDict[Path, Content] = OrderedDict()
-        self._reading = asyncio.Lock()
-        self._sends: dict[tuple[str, str], asyncio.Task[None]] = {}
-        self._frames_are_seen = True
-        self._room_for_frames = asyncio.Semaphore(size + SENT_AHEAD)
-
-    @property
-    def threads_per_job(self) -> int:
-        return 1
+        self._digest_of = lru_cache(N_DIGESTS)(digest_of)  # none is rewritten under its name
 
     async def run(self, function: Callable[[Job], Result], job: Job) -> Result:
         """Return `function(job)`, computed on the cluster if a bundle is to be measured; raises as `WorkerPool` does.
@@ -134,69 +113,44 @@ class ClusterPool:
         return await self.run(function, make_job())
 
     def close(self) -> None:
-        """End what learns."""
+        """Stop the local process that learns backgrounds."""
         self._here.close()
 
     async def _measure(self, job: MeasureJob) -> MeasuredBundle:
-        background = None if job.background_path is None else await self._content(job.background_path)
-        rig = await self._content(job.rig_file.path)
-        contents = {each.digest: each for each in (self._context, rig, background) if each is not None}
-        task = ClusterJob(
-            header=await asyncio.to_thread(read_header, job.bundle_path.absolute()),
-            frames=None,
-            camera_ids=job.camera_ids,
-            calibration_id=job.rig_file.calibration_id,
-            save_silhouettes=job.save_silhouettes,
-            context=self._context.digest,
-            rig=rig.digest,
-            background=None if background is None else background.digest,
-            versions=installed_versions(),
+        task = await asyncio.to_thread(self._task, job)
+        try:
+            answer = await self._answer(task)
+        except ClusterError:
+            for path in (task.header.path, *task.digests):
+                path.stat()  # it went meanwhile: `FileNotFoundError`
+            raise
+        if isinstance(answer, Failed):
+            raise JobLostError(answer.reason, answer.detail)
+        await asyncio.to_thread(_write, job.out_dir, answer.files)
+        return answer.measured
+
+    def _task(self, job: MeasureJob) -> ClusterJob:
+        rig_path, background = job.rig_file.path.absolute(), job.background_path
+        job = replace(
+            job,
+            bundle_path=job.bundle_path.absolute(),
+            rig_file=replace(job.rig_file, path=rig_path),
+            background_path=None if background is None else background.absolute(),
         )
-        answer = await self._answer(task, contents) if self._frames_are_seen else UnseenFileError()
-        if isinstance(answer, UnseenFileError):
-            self._frames_are_seen = False
-            async with self._room_for_frames:
-                frames = await asyncio.to_thread(job.bundle_path.read_bytes)
-                answer = await self._answer(replace(task, frames=frames), contents)
-        match answer:
-            case MeasuredFiles(measured, files):
-                await asyncio.to_thread(_write, job.out_dir, files)
-                return measured
-            case Failed(reason, detail):
-                raise JobLostError(reason, detail)
-            case Unreadable(problem):
-                raise RecordingError(job.bundle_path, problem)
-            case Unfit(worker, detail):
-                raise ClusterError(f"worker {worker} cannot measure: {detail}")
-        raise ClusterError("frames that were sent did not arrive")
+        needed = [rig_path] if job.background_path is None else [rig_path, job.background_path]
+        digests = {path: self._digest_of(path) for path in needed}
+        return ClusterJob(job=job, header=read_header(job.bundle_path), digests=digests)
 
-    async def _content(self, path: Path) -> Content:
-        """Return the content of a path, which is never rewritten under its name."""
-        async with self._reading:
-            if path not in self._contents:
-                self._contents[path] = await asyncio.to_thread(read_content, path)
-                if len(self._contents) > N_CONTENTS:
-                    self._contents.popitem(last=False)
-            self._contents.move_to_end(path)
-            return self._contents[path]
-
-    async def _answer(self, task: ClusterJob, contents: Mapping[str, Content]) -> Answer:
-        """Return a worker's answer to a task; contents that the worker lacks are sent, and the task submitted again."""
-        while isinstance(answer := await self._submitted(task), Missing):
-            for digest in answer.digests:
-                await self._send(answer.worker, contents[digest])
-        return answer
-
-    async def _submitted(self, task: ClusterJob) -> Answer:
+    async def _answer(self, task: ClusterJob) -> Answer:
         key = f"stonefall-{task.header.name}-{uuid4().hex}"
-        future = self._client.submit(measure_here, task, key=key, pure=False)
+        future = self._client.submit(measure_here, self._processes, task, key=key, pure=False)
         try:
             return cast(Answer, await future)
+        except (ClusterError, RecordingError):
+            raise
         except KilledWorker as err:
             n_died = err.allowed_failures + 1
-            raise JobLostError(
-                LossReason.WORKER_CRASH, f"{n_died} workers of the cluster died over it"
-            ) from None
+            return Failed(LossReason.WORKER_CRASH, f"{n_died} workers of the cluster died over it")
         except CancelledError as err:
             raise ClusterError(f"the scheduler is gone, or has given a bundle up: {err}") from None
         except Exception as err:  # whatever a worker raised, such as another version's error
@@ -204,22 +158,8 @@ class ClusterPool:
         finally:
             future.release()
 
-    async def _send(self, worker: str, content: Content) -> None:
-        """Send a content to a worker, once for all bundles that need it there."""
-        key = worker, content.digest
-        if (sending := self._sends.get(key)) is None:
-            sending = self._sends[key] = asyncio.create_task(self._keep(worker, content))
-            sending.add_done_callback(lambda _: self._sends.pop(key))
-        await asyncio.shield(sending)
 
-    async def _keep(self, worker: str, content: Content) -> None:
-        answers: Any = await self._client.run(keep, content, workers=[worker], on_error="return")
-        error = answers.get(worker)
-        if isinstance(error, Exception) and worker in await self._client.nthreads():
-            raise ClusterError(f"worker {worker} cannot keep what it was sent: {error}")
-
-
-def _write(folder: Path, files: Mapping[str, bytes]) -> None:
+def _write(folder: Path, files: dict[str, bytes]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
         (folder / name).write_bytes(content)

@@ -1,17 +1,17 @@
 """Tasks on a worker of the cluster: a bundle is measured by worker processes like the daemon's.
 
 The process that dask starts measures nothing itself. A bundle that kills its process kills one of the pool, which is
-replaced, and fails after the second time; everything else goes on. The reason why a bundle is not measured here is
-returned, not raised, and told apart by its type.
+replaced, and fails after the second time; everything else goes on. Files are read where the machine that asks has
+them: a worker that sees another file under that path, or none, is refused, and the path named.
 """
 
 import asyncio
+import hashlib
 import multiprocessing
-import pickle
 import shutil
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from uuid import uuid4
@@ -21,47 +21,36 @@ from distributed import Worker, WorkerPlugin, get_worker
 from drivers.errors import RecordingError
 from drivers.files.bundle_header import BundleHeader
 from drivers.files.recording import read_header
-from pipeline.frames import CameraId
+from service.base.errors import ClusterError
 from service.processing.compiled_code import isolate_numba_cache
 from service.processing.measure_job import (
     RESULT_FILES,
     MeasuredBundle,
     MeasureJob,
-    RigFile,
     WorkerContext,
     measure,
     prepare,
 )
 from service.processing.resting_pool import RestingPool
 from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError
-from service.remeasuring.cluster.contents import Content, keep_content, kept_content
 from service.results.fields import LossReason
 from service.results.version import ALGORITHM_VERSION
 
 DEADLINE_S = 600.0
 """Only a process that hangs is ended."""
-CONTEXT = "context.pickle"
+N_DIGESTS = 4
+"""Digests that a worker remembers by path: a background is 84 MB or more."""
 COMPUTES = ("numba", "numpy", "onnxruntime", "opencv-python-headless", "scipy", "stonefall")
 """Packages whose versions must be equal for equal bits."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClusterJob:
-    """One bundle to measure; what many bundles need is named by its digest."""
+    """One bundle to measure, and its files as they are where it is asked for."""
 
-    header: BundleHeader  # as it is where the bundle is asked for, with the path of the file
-    frames: bytes | None  # the file itself, where workers do not see it
-    camera_ids: tuple[CameraId, ...]
-    calibration_id: str
-    save_silhouettes: bool
-    context: str
-    rig: str
-    background: str | None
-    versions: Mapping[str, str]
-
-    @property
-    def contents(self) -> set[str]:
-        return {digest for digest in (self.context, self.rig, self.background) if digest is not None}
+    job: MeasureJob
+    header: BundleHeader  # with the checksums of all pixels
+    digests: Mapping[Path, str]  # of calibration and background
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,20 +58,7 @@ class MeasuredFiles:
     """A measured bundle, and its files by name."""
 
     measured: MeasuredBundle
-    files: Mapping[str, bytes]
-
-
-@dataclass(frozen=True, slots=True)
-class Missing:
-    """A worker lacks contents."""
-
-    worker: str
-    digests: frozenset[str]
-
-
-@dataclass(frozen=True, slots=True)
-class UnseenFileError:
-    """A worker does not see the bundle's file, or sees another one under its name."""
+    files: dict[str, bytes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,68 +69,61 @@ class Failed:
     detail: str
 
 
-@dataclass(frozen=True, slots=True)
-class Unreadable:
-    """The bundle's file is damaged."""
-
-    problem: str
+Answer = MeasuredFiles | Failed
 
 
-@dataclass(frozen=True, slots=True)
-class Unfit:
-    """A worker cannot measure at all, or not with the same results."""
-
-    worker: str
-    detail: str
-
-
-Answer = MeasuredFiles | Missing | UnseenFileError | Failed | Unreadable | Unfit
-
-_pools: dict[str, RestingPool] = {}
-"""Pools of this worker, by the digest of their context."""
-
-
-@cache
 def installed_versions() -> Mapping[str, str]:
     """Return the versions of all that computes here."""
     return {"algorithm": ALGORITHM_VERSION, **{name: version(name) for name in COMPUTES}}
 
 
-async def keep(content: Content, dask_worker: Worker) -> None:
-    """Keep a content on the disk of this worker; `Client.run` names it."""
-    await asyncio.to_thread(keep_content, _room(dask_worker), content)
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file, or of the files in a folder by their names."""
+    digest = hashlib.sha256()
+    for each in sorted(path.iterdir()) if path.is_dir() else [path]:
+        with each.open("rb") as file:
+            digest.update(f"{each.name} {hashlib.file_digest(file, 'sha256').hexdigest()} ".encode())
+    return digest.hexdigest()
 
 
-async def measure_here(job: ClusterJob) -> Answer:
-    """Measure one bundle on this worker."""
-    worker = get_worker()
-    if (trouble := _trouble(job.versions)) is not None:
-        return Unfit(worker.address, trouble)
-    room = _room(worker)
-    kept = {digest: folder for digest in job.contents if (folder := kept_content(room, digest)) is not None}
-    if missing := job.contents - kept.keys():
-        return Missing(worker.address, frozenset(missing))
-    folder = room.parent / f"bundle-{uuid4().hex}"
-    try:
-        path = await asyncio.to_thread(_bundle_path, job, folder)
-        if path is None:
-            return UnseenFileError()
-        pool = await _pool(job.context, kept[job.context], worker)
-        measured = await pool.run(measure, _measure_job(job, path, kept, folder / "out"))
-        return MeasuredFiles(measured, await asyncio.to_thread(_files, folder / "out"))
-    except RecordingError as err:
-        return Unreadable(err.problem)
-    except JobLostError as err:
-        return Failed(err.reason, err.detail)
-    except WorkerStartError as err:
-        return Unfit(worker.address, str(err))
-    finally:
-        await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)
+class Processes(WorkerPlugin):
+    """The measuring processes of a worker, for one command; dask starts and ends them with command and worker."""
 
+    def __init__(self, context: WorkerContext) -> None:
+        self.name = f"stonefall-{uuid4().hex}"
+        self._context = context
+        self._versions = installed_versions()
 
-def _room(worker: Worker) -> Path:
-    """Return the folder of contents, which the worker removes when it ends."""
-    return Path(worker.local_directory) / "stonefall" / "contents"
+    def setup(self, worker: Worker) -> None:
+        """Make the pool; its processes start with the first bundle and end some time after."""
+        isolate_numba_cache()  # of the processes; this one computes nothing
+        self._pool = RestingPool(
+            lambda: WorkerPool(
+                slots=worker.state.nthreads, deadline_s=DEADLINE_S, prepare=prepare, context=self._context
+            )
+        )
+        self._digest_of = lru_cache(N_DIGESTS)(digest_of)
+        self._folder = Path(worker.local_directory) / "stonefall"  # which the worker removes when it ends
+
+    def teardown(self, worker: Worker) -> None:
+        """End them: an interpreter that ends waits for its processes, and they ignore signals."""
+        self._pool.close()
+
+    async def measure(self, task: ClusterJob) -> Answer:
+        """Measure a bundle; raise `ClusterError` if this worker cannot, or not with the same results."""
+        trouble = _trouble(self._versions)
+        if trouble := trouble or await asyncio.to_thread(_unshared, task, self._digest_of):
+            raise ClusterError(trouble)
+        folder = self._folder / f"bundle-{uuid4().hex}"
+        try:
+            measured = await self._pool.run(measure, replace(task.job, out_dir=folder / "out"))
+            return MeasuredFiles(measured, await asyncio.to_thread(_files, folder / "out"))
+        except JobLostError as err:
+            return Failed(err.reason, err.detail)
+        except WorkerStartError as err:
+            raise ClusterError(str(err)) from None
+        finally:
+            await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)
 
 
 def _trouble(wanted: Mapping[str, str]) -> str | None:
@@ -168,57 +137,29 @@ def _trouble(wanted: Mapping[str, str]) -> str | None:
     return None
 
 
-class _Processes(WorkerPlugin):
-    """The measuring processes of this worker, which end with it."""
-
-    name = "stonefall"
-
-    def teardown(self, worker: Worker) -> None:
-        """End them: an interpreter that ends waits for its processes, and they ignore signals."""
-        for pool in _pools.values():
-            pool.close()
-        _pools.clear()
-
-
-async def _pool(digest: str, folder: Path, worker: Worker) -> RestingPool:
-    """Return the pool for a context; made once, its processes start with the first bundle and end some time after."""
-    if digest not in _pools:
-        isolate_numba_cache()  # of the processes; this one computes nothing
-        context: WorkerContext = pickle.loads((folder / CONTEXT).read_bytes())  # noqa: S301 - as every task of dask
-        n_processes = worker.state.nthreads
-        _pools[digest] = RestingPool(
-            lambda: WorkerPool(slots=n_processes, deadline_s=DEADLINE_S, prepare=prepare, context=context)
-        )
-        if _Processes.name not in worker.plugins:
-            await worker.plugin_add(_Processes(), _Processes.name)
-    return _pools[digest]
+def _unshared(task: ClusterJob, digest_of: Callable[[Path], str]) -> str | None:
+    """Return the reason why a file of the job is not the one that the asking machine has, None if all are."""
+    for path in (task.header.path, *task.digests):
+        try:
+            wanted = task.digests.get(path, task.header)
+            is_same = wanted == (digest_of(path) if path in task.digests else read_header(path))
+        except (RecordingError, OSError):
+            is_same = False
+        if not is_same:
+            return f"{path} is missing there, or another file: share its folder with all machines, under this path"
+    return None
 
 
-def _bundle_path(job: ClusterJob, folder: Path) -> Path | None:
-    """Return the bundle's file: the one that came along, or the very same one where it lies; None without either."""
-    if job.frames is not None:
-        folder.mkdir(parents=True)
-        path = folder / "bundle.tiff"
-        path.write_bytes(job.frames)
-        return path
+async def measure_here(processes: str, task: ClusterJob) -> Answer:
+    """Measure one bundle on this worker, by its processes of this name."""
+    worker = get_worker()
+    plugin = worker.plugins[processes]
+    assert isinstance(plugin, Processes)  # noqa: S101 - the pool has registered it
     try:
-        seen = read_header(job.header.path)
-    except RecordingError:
-        return None
-    return job.header.path if seen == job.header else None
+        return await plugin.measure(task)
+    except ClusterError as err:
+        raise ClusterError(f"worker {worker.address} cannot measure: {err}") from None
 
 
-def _measure_job(job: ClusterJob, path: Path, kept: Mapping[str, Path], out_dir: Path) -> MeasureJob:
-    (rig_path,) = kept[job.rig].iterdir()
-    return MeasureJob(
-        bundle_path=path,
-        camera_ids=job.camera_ids,
-        rig_file=RigFile(rig_path, job.calibration_id),
-        background_path=None if job.background is None else kept[job.background],
-        out_dir=out_dir,
-        save_silhouettes=job.save_silhouettes,
-    )
-
-
-def _files(folder: Path) -> Mapping[str, bytes]:
+def _files(folder: Path) -> dict[str, bytes]:
     return {name: path.read_bytes() for name in RESULT_FILES if (path := folder / name).exists()}

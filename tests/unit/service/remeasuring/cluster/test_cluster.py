@@ -1,19 +1,20 @@
-"""Addresses, contents and frames of a cluster, without one."""
+"""Addresses, shared files and workers of a cluster, without one."""
 
 import multiprocessing
+import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from support.small_recording import write_small_recording
 
 from drivers.files.recording import open_recording
+from pipeline.particle import PipelineParameters
 from service.base.errors import UsageError
-from service.remeasuring.cluster import contents, tasks
-from service.remeasuring.cluster.contents import content_of, keep_content, kept_content, read_content
-from service.remeasuring.cluster.executor import require_distributed, scheduler_address
+from service.processing.measure_job import MeasureJob, RigFile, WorkerContext
+from service.remeasuring.cluster import tasks
+from service.remeasuring.cluster.executor import open_cluster, scheduler_address
 from service.remeasuring.cluster.tasks import ClusterJob, installed_versions
 
 
@@ -40,10 +41,12 @@ def test_what_is_none_is_refused_with_what_it_must_be(executor: str) -> None:
         scheduler_address(executor)
 
 
-def test_without_the_extra_the_error_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
+async def test_without_the_extra_the_error_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "dask", None)
+    context = WorkerContext(parameters=PipelineParameters(), is_simulated=True)
     with pytest.raises(UsageError, match=r"extra \[cluster\].*requirements-cluster\.lock"):
-        require_distributed()
+        async with open_cluster("dask://127.0.0.1:9", context):
+            pass
 
 
 def test_the_commands_import_it_only_when_asked() -> None:
@@ -54,56 +57,46 @@ def test_the_commands_import_it_only_when_asked() -> None:
     subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True)
 
 
-def test_a_content_is_its_names_and_bytes(tmp_path: Path) -> None:
-    first = content_of({"a": b"12", "b": b"3"})
-    others = [{"a": b"1", "b": b"23"}, {"a": b"12", "c": b"3"}, {"a": b"12"}]
-    assert first == content_of({"b": b"3", "a": b"12"})
-    assert len({first.digest, *(content_of(files).digest for files in others)}) == 4
-    (tmp_path / "folder").mkdir()
-    for name, data in first.files.items():
-        (tmp_path / "folder" / name).write_bytes(data)
-    assert read_content(tmp_path / "folder") == first
-    assert read_content(tmp_path / "folder" / "a") == content_of({"a": b"12"})
+def test_a_digest_is_of_names_and_bytes(tmp_path: Path) -> None:
+    digests = set()
+    for number, files in enumerate(
+        [{"a": b"12", "b": b"3"}, {"a": b"1", "b": b"23"}, {"a": b"12", "c": b"3"}]
+    ):
+        folder = tmp_path / f"{number}"
+        folder.mkdir()
+        for name, data in files.items():
+            (folder / name).write_bytes(data)
+        digests.add(tasks.digest_of(folder))
+    assert len(digests) == 3
+    shutil.copytree(tmp_path / "0", tmp_path / "copy")
+    assert tasks.digest_of(tmp_path / "copy") == tasks.digest_of(tmp_path / "0")
 
 
-def test_a_worker_keeps_the_contents_that_were_used_last(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(contents, "N_KEPT", 2)
-    room, made = tmp_path / "room", [content_of({"a": bytes([n])}) for n in range(3)]
-    for content in made[:2]:
-        assert kept_content(room, content.digest) is None
-        keep_content(room, content)
-        keep_content(room, content)  # once more changes nothing
-    folder = kept_content(room, made[0].digest)
-    assert folder is not None and read_content(folder) == made[0]
-    keep_content(room, made[2])
-    assert kept_content(room, made[1].digest) is None
-    assert {path.name for path in room.iterdir()} == {made[0].digest, made[2].digest}
-
-
-def test_frames_are_read_where_they_lie_only_if_they_are_the_same(tmp_path: Path) -> None:
-    for name in ("here", "other"):
-        write_small_recording(tmp_path / name, n_stones=2)
-    _, _, first, second = open_recording(tmp_path / "here").headers
-    job = ClusterJob(
-        header=first,
-        frames=None,
+@pytest.mark.parametrize("name", ["bundle", "background", "rig.json"])
+def test_a_path_that_is_not_shared_is_named(tmp_path: Path, name: str) -> None:
+    write_small_recording(tmp_path / "recording", n_stones=2)
+    _, _, first, second = open_recording(tmp_path / "recording").headers
+    rig_path, background = tmp_path / "recording" / "rig.json", tmp_path / "background"
+    background.mkdir()
+    (background / "c01").write_bytes(b"1")
+    job = MeasureJob(
+        bundle_path=first.path,
         camera_ids=tuple(first.frames),
-        calibration_id="0",
-        save_silhouettes=False,
-        context="c",
-        rig="r",
-        background=None,
-        versions={},
+        rig_file=RigFile(rig_path, "0"),
+        background_path=background,
+        out_dir=tmp_path / "out",
     )
-    assert tasks._bundle_path(job, tmp_path / "job") == first.path
-    first.path.write_bytes(second.path.read_bytes())  # another bundle under that name
-    assert tasks._bundle_path(job, tmp_path / "job") is None
-    first.path.unlink()
-    assert tasks._bundle_path(job, tmp_path / "job") is None
-    sent = tasks._bundle_path(replace(job, frames=second.path.read_bytes()), tmp_path / "job")
-    assert sent is not None and sent.read_bytes() == second.path.read_bytes()
+    digests = {path: tasks.digest_of(path) for path in (rig_path, background)}
+    task = ClusterJob(job=job, header=first, digests=digests)
+    assert tasks._unshared(task, tasks.digest_of) is None
+    path = {"bundle": first.path, "background": background, "rig.json": rig_path}[name]
+    file = path / "c01" if path.is_dir() else path
+    for change in (lambda: file.write_bytes(second.path.read_bytes()), file.unlink):
+        change()
+        told = tasks._unshared(task, tasks.digest_of)
+        assert told is not None and told.startswith(
+            f"{path} is missing there, or another file: share its folder"
+        )
 
 
 def test_a_worker_that_would_measure_otherwise_or_cannot_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
