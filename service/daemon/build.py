@@ -40,6 +40,7 @@ from service.processing.spool import BundleFiles, Spool
 from service.processing.worker_pool import WorkerPool
 from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
+from service.remeasuring.jobs import Jobs
 from service.remeasuring.remeasuring import Remeasuring, new_pool
 from service.results.fields import Result
 from service.store import Store
@@ -264,15 +265,14 @@ def _build_pool(session: Session, context: WorkerContext) -> WorkerPool:
 def _build_remeasuring(
     session: Session, calibrations: Calibrations, processing: Processing, context: WorkerContext
 ) -> Remeasuring:
-    return Remeasuring(
+    jobs = Jobs(
         session.store,
-        calibrations,
-        processing,
-        context=context,
-        make_pool=lambda: new_pool(context),
-        folder=session.folder,
+        calibrations.rig_file_of,
+        lambda: processing.background,
+        folder=session.folder / "again",
         save_silhouettes=session.settings.store.save_silhouettes,
     )
+    return Remeasuring(jobs, context, lambda: new_pool(context))
 
 
 def _build_retaining(session: Session, recordings: Recordings, loop: LoopWatch) -> Retaining:

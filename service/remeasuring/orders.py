@@ -16,13 +16,12 @@ from typing import TypeVar
 
 from drivers.files.durable import replacing
 from service.processing.measure_job import MeasureJob, WorkerContext
-from service.remeasuring.hindrance import Hindrance, RemeasureError
-from service.remeasuring.jobs import Jobs
+from service.remeasuring.jobs import Hindrance, Jobs, RemeasureError
 from service.remeasuring.revising import revise
 from service.results.fields import Result
 from service.results.record import document_of, result_of
 from service.results.version import ALGORITHM_VERSION
-from service.store import Record, Store
+from service.store import Record
 
 Content = TypeVar("Content")
 
@@ -58,21 +57,17 @@ def write_record(order: Order, record: Result) -> None:
 class Orders:
     """Open orders, by name: `order`, then `deliver`; all on the event loop."""
 
-    def __init__(self, store: Store, jobs: Jobs, context: WorkerContext, folder: Path) -> None:
-        self._store = store
+    def __init__(self, jobs: Jobs, context: WorkerContext) -> None:
         self._jobs = jobs
         self._context = context
-        self._folder = folder
+        self._folder = jobs.folder / "orders"
         self._open: dict[str, str] = {}  # the stone's id, by the name of the folder
         self._n_orders = 0
 
     async def order(self, name: str) -> Path | None:
         """Return the folder of an order for the stone with this id; None if there is nothing to measure again.
 
-        Raises
-        ------
-        RemeasureError
-            It cannot be measured again.
+        Raises `RemeasureError` if it cannot be measured again.
         """
         record = await self._jobs.wanted(name)
         if record is None:
@@ -90,10 +85,7 @@ class Orders:
     async def deliver(self, name: str, order: str, who: str) -> bool:
         """Revise the stone by what lies in the folder of its order; return False if it was revised meanwhile.
 
-        Raises
-        ------
-        RemeasureError
-            There is no such order, or it has no sound result.
+        Raises `RemeasureError` if there is no such order, or it has no sound result.
         """
         if self._open.get(order) != name:
             raise RemeasureError(Hindrance.NO_ORDER, f"{order} is no open order for {name}")
@@ -104,7 +96,7 @@ class Orders:
                 return False
             out = self._folder / order / "out"
             record = await asyncio.to_thread(_read_record, out / RECORD, before)
-            return await revise(self._store, before, record, out, who)
+            return await revise(self._jobs.store, before, record, out, who)
         finally:
             await self._remove(order)
 

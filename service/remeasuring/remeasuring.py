@@ -11,7 +11,6 @@ import asyncio
 import os
 import shutil
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from drivers.errors import RecordingError
 from service.processing import measure_job
@@ -19,11 +18,9 @@ from service.processing.measure_job import MeasuredBundle, MeasureJob, WorkerCon
 from service.processing.resting_pool import RestingPool
 from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError
 from service.processing.worker_process import WarmUp
-from service.remeasuring.hindrance import Hindrance, RemeasureError
-from service.remeasuring.jobs import BackgroundInUse, Jobs, RigFiles
+from service.remeasuring.jobs import Hindrance, Jobs, RemeasureError
 from service.remeasuring.orders import Orders
 from service.remeasuring.revising import revise
-from service.store import Store
 
 DEADLINE_S = 300.0
 """Longest time for one stone: it takes 0.1 s of an idle core, but none may be idle for long."""
@@ -50,24 +47,9 @@ class Remeasuring:
     `orders` are for stones that a cluster measures instead.
     """
 
-    def __init__(
-        self,
-        store: Store,
-        calibrations: RigFiles,
-        processing: BackgroundInUse,
-        *,
-        context: WorkerContext,
-        make_pool: Callable[[], WorkerPool],
-        folder: Path,
-        save_silhouettes: bool,
-    ) -> None:
-        """`folder`: on tmpfs, for the files of the stone in work and a version of the background."""
-        self._store = store
-        self._folder = folder / "again"
-        self._jobs = Jobs(
-            store, calibrations, processing, folder=self._folder, save_silhouettes=save_silhouettes
-        )
-        self.orders = Orders(store, self._jobs, context, self._folder / "orders")
+    def __init__(self, jobs: Jobs, context: WorkerContext, make_pool: Callable[[], WorkerPool]) -> None:
+        self._jobs = jobs
+        self.orders = Orders(jobs, context)
         self._turn = asyncio.Lock()
         self._pool = RestingPool(make_pool)
         self._job: asyncio.Task[MeasuredBundle] | None = None
@@ -75,20 +57,17 @@ class Remeasuring:
     async def measure(self, name: str, who: str) -> bool:
         """Revise the stone with this id; return False if its newest result is all that today's algorithm can say.
 
-        Raises
-        ------
-        RemeasureError
-            It cannot be measured again.
+        Raises `RemeasureError` if it cannot be measured again.
         """
         async with self._turn:
             record = await self._jobs.wanted(name)
             if record is None:
                 return False
-            out_dir = self._folder / "out"
+            out_dir = self._jobs.folder / "out"
             try:
                 job = await self._jobs.job_for(record, out_dir)
                 measured = await self._measured(job)
-                return await revise(self._store, record, measured.record, out_dir, who)
+                return await revise(self._jobs.store, record, measured.record, out_dir, who)
             except RecordingError as err:
                 raise RemeasureError(Hindrance.FAILED, f"{name}: {err.problem}") from err
             except (JobLostError, WorkerStartError) as err:

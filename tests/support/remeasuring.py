@@ -14,7 +14,7 @@ from support.rest import particle_files
 
 from pipeline.particle import PipelineParameters
 from service.processing.measure_job import MESH, MeasuredBundle, MeasureJob, WorkerContext
-from service.remeasuring.jobs import RigFiles
+from service.remeasuring.jobs import Jobs
 from service.remeasuring.remeasuring import Remeasuring
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store
@@ -51,26 +51,18 @@ class AgainPool:
         self.closed.set()
 
 
-@dataclass
-class FixedBackground:
-    """The background in use, which a test sets."""
-
-    background: Path | None = None
-
-
 def remeasuring_of(
-    store: Store, rigs: RigFiles, pool: AgainPool, folder: Path, background: Path | None = None
+    store: Store,
+    calibrations: Any,
+    pool: AgainPool,
+    folder: Path,
+    background: Callable[[], Path | None] = lambda: None,
 ) -> Remeasuring:
     """Return what measures stones of the store again, in that pool."""
-    return Remeasuring(
-        store,
-        rigs,
-        FixedBackground(background),
-        context=WorkerContext(parameters=PipelineParameters(), is_simulated=True),
-        make_pool=lambda: pool,
-        folder=folder,
-        save_silhouettes=False,
-    )
+    again = folder / "again"
+    jobs = Jobs(store, calibrations.rig_file_of, background, folder=again, save_silhouettes=False)
+    context = WorkerContext(parameters=PipelineParameters(), is_simulated=True)
+    return Remeasuring(jobs, context, lambda: pool)
 
 
 async def add_old(

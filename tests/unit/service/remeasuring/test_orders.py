@@ -13,7 +13,7 @@ from support.remeasuring import AgainPool, add_old, remeasuring_of
 from service.calibration.calibrations import Calibrations
 from service.processing.measure_job import measure
 from service.remeasuring import orders as module
-from service.remeasuring.hindrance import Hindrance, RemeasureError
+from service.remeasuring.jobs import Hindrance, RemeasureError
 from service.remeasuring.orders import Orders, read_context, read_order, write_record
 from service.remeasuring.remeasuring import Remeasuring
 from service.store import Store

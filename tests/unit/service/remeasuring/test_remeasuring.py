@@ -16,7 +16,7 @@ from service.calibration.calibrations import Calibrations
 from service.processing import resting_pool
 from service.processing.measure_job import MeasureJob
 from service.processing.worker_pool import JobLostError
-from service.remeasuring.hindrance import Hindrance, RemeasureError
+from service.remeasuring.jobs import Hindrance, RemeasureError
 from service.remeasuring.remeasuring import Remeasuring
 from service.results.fields import LossReason
 from service.results.refinement import RUSH
@@ -120,11 +120,11 @@ async def test_a_background_is_held_while_its_version_is_removed(
     for version in versions:
         await asyncio.to_thread(version.mkdir)
         await asyncio.to_thread((version / "c01.npy").write_text, version.name)
-    again = remeasuring_of(store, desk, pool, tmp_path, versions[0])
-    processing = again._jobs._processing
+    in_use = versions[0]
+    again = remeasuring_of(store, desk, pool, tmp_path, lambda: in_use)
     for number, version in ((1, 0), (2, 0), (3, 1)):
         name = await add_old(store, session, number, tmp_path, desk.rig_file.calibration_id)
-        processing.background = versions[version]  # type: ignore[misc]
+        in_use = versions[version]
         await again.measure(name, "anna")
     paths = [job.background_path for job in pool.jobs]
     assert paths[0] is not None and paths[2] is not None
