@@ -1,6 +1,6 @@
-"""What JSON schemas say beyond types: dataclasses are the schemas of the REST interface as they are."""
+"""Marks of fields beyond their types: dataclasses are settings, and schemas of the REST interface, as they are."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter
 from pydantic.config import JsonDict
@@ -22,6 +22,12 @@ REQUEST = ConfigDict(use_attribute_docstrings=True, extra="forbid")
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 """A name or title that people give."""
 Remark = Annotated[str, Field(max_length=2000)]
+
+
+LIVE = "applies without a restart"
+T = TypeVar("T")
+Live = Annotated[T, LIVE]
+"""A setting that applies when the file is read again; others are built into devices, workers, store or sockets."""
 
 
 def adds_to(base: type, config: ConfigDict = ANSWER) -> ConfigDict:

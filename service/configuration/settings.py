@@ -22,6 +22,7 @@ from pipeline.views.quality import ViewsParameters
 from service.acquisition.empty_rig import EmptyRigParameters
 from service.base.configured_paths import ConfiguredPath
 from service.base.errors import SettingsError, VolumeModelError
+from service.base.schema import Live
 from service.bundling.parameters import BundlingParameters
 from service.calibration.verification_limits import VerificationParameters
 from service.configuration.rig_checks import rig_problems, rig_warnings
@@ -76,10 +77,10 @@ class StoreSettings:
     dir: ConfiguredPath
     keep_raw: int = KEEP_RAW  # number of the newest stones whose frames are kept
     save_silhouettes: bool = True
-    backup_every_h: float = 1.0  # hours between two copies of the database in dir/backups; 0: none
-    keep_backups: int = 4
+    backup_every_h: Live[float] = 1.0  # hours between two copies of the database in dir/backups; 0: none
+    keep_backups: Live[int] = 4
     exact_meshes: bool = False  # PLY in single precision instead of compact meshes
-    retention: RetentionLimits = field(default_factory=RetentionLimits)
+    retention: Live[RetentionLimits] = field(default_factory=RetentionLimits)
 
     def __post_init__(self) -> None:
         if self.keep_raw < 0:
@@ -104,17 +105,17 @@ class Settings(BaseModel):
     views: ViewsParameters = ViewsParameters()
     quality: QualityParameters = QualityParameters()
     consistency: ConsistencyParameters = ConsistencyParameters()
-    optics: OpticalParameters = OpticalParameters()
+    optics: Live[OpticalParameters] = OpticalParameters()
     carving: CarvingParameters = CarvingParameters()
     meshing: MeshingParameters = MeshingParameters()
     body: BodyParameters = BodyParameters()
     measuring: MeasuringSettings = MeasuringSettings()
-    verification: VerificationParameters = VerificationParameters()
+    verification: Live[VerificationParameters] = VerificationParameters()
     workers: WorkersSettings = WorkersSettings()
     recordings: RecordingsSettings = RecordingsSettings()
-    lots: LotsSettings = LotsSettings()
+    lots: Live[LotsSettings] = LotsSettings()
     api: ApiSettings = ApiSettings()
-    webhooks: WebhooksSettings = WebhooksSettings()
+    webhooks: Live[WebhooksSettings] = WebhooksSettings()
     file_drop: FileDropSettings | None = None
 
     @property

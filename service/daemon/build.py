@@ -69,14 +69,36 @@ async def build(configured: Configuration, store: Store, reading: Reading, reque
     settings = session.settings
     worker_context = await _worker_context(session)
     watches = _build_watches(session, worker_context.segmentation)
-    recordings = await asyncio.to_thread(_open_recordings, session)
+    made_by = {"command": "serve", "instance_id": store.instance_id, "session": session.number}
+    recordings = await asyncio.to_thread(
+        Recordings, store.dir / "recordings", session.source, settings.recordings, made_by
+    )
     calibrations = await _open_calibrations(session, watches.rig, recordings)
     if (counted := await store.read(gate_count)) is not None:
         session.devices.gate.resume(*counted)
     spool, archive = _build_queue(session)
-    pool = _build_pool(session, worker_context)
+    pool = WorkerPool(
+        slots=settings.workers.slots,
+        deadline_s=settings.workers.deadline_s,
+        prepare=prepare,
+        context=worker_context,
+        retry_s=WORKER_RETRY_S,
+    )
     delays, latest_delays_s = result_delays(), deque[float](maxlen=N_LATEST)
     processing = _build_processing(session, watches, calibrations, spool, pool, delays, latest_delays_s)
+    again = Jobs(
+        store,
+        calibrations.rig_file_of,
+        lambda: processing.background,
+        folder=session.folder / "again",
+        save_silhouettes=settings.store.save_silhouettes,
+    )
+    retaining = Retaining(
+        store,
+        recordings,
+        settings.store.retention,
+        is_clock_sure=lambda: watches.loop.clock_step_s() is None,
+    )
     daemon = Daemon(
         configured=configured,
         session=session,
@@ -91,19 +113,14 @@ async def build(configured: Configuration, store: Store, reading: Reading, reque
         processing=processing,
         delays=delays,
         latest_delays_s=latest_delays_s,
-        remeasuring=_build_remeasuring(session, calibrations, processing, worker_context),
-        retaining=_build_retaining(session, recordings, watches.loop),
+        remeasuring=Remeasuring(again, worker_context, lambda: new_pool(worker_context)),
+        retaining=retaining,
         alarms=await open_alarms(store, session.events),
         webhooks=await open_webhooks(store, settings.webhooks),
     )
     file_drop = await open_file_drop(store, settings.file_drop)
     daemon.parts.extend(parts_of(daemon, file_drop, reading, requests))
     return daemon
-
-
-def _store_trouble(store: Store) -> str | None:
-    """Return the trouble of the store in words, None if results can be stored."""
-    return None if store.trouble is None else f"store: {store.trouble}"
 
 
 async def _worker_context(session: Session) -> WorkerContext:
@@ -135,11 +152,6 @@ def _build_watches(session: Session, segmentation: SegmenterPlan) -> Watches:
     )
 
 
-def _open_recordings(session: Session) -> Recordings:
-    made_by = {"command": "serve", "instance_id": session.store.instance_id, "session": session.number}
-    return Recordings(session.store.dir / "recordings", session.source, session.settings.recordings, made_by)
-
-
 async def _open_calibrations(session: Session, rig_watch: RigWatch, recordings: Recordings) -> Calibrations:
     loop, settings = asyncio.get_running_loop(), session.settings
 
@@ -161,19 +173,19 @@ async def _open_calibrations(session: Session, rig_watch: RigWatch, recordings: 
 
 def _build_queue(session: Session) -> tuple[Spool, RawArchive]:
     """Build the spool of bundles, and the archive that takes over the files of the newest stones."""
-    settings, belt = session.settings, session.devices.belt
+    settings, store, belt = session.settings, session.store, session.devices.belt
     n_ahead = 2 * settings.workers.slots  # bundles that keep the workers busy
     if belt is not None:
         # in fast pace a replay delivers a bundle for each one that is free again; the archive can take all of them
         belt.permit(max(1, min(n_ahead + 1, settings.spool.max_bundles - len(session.left))))
     files = BundleFiles(session.folder, on_free=belt.permit if belt is not None else lambda: None)
-    archive = RawArchive(session.store, session.source.camera_ids, files.give_back, max_waiting=n_ahead)
+    archive = RawArchive(store, session.source.camera_ids, files.give_back, max_waiting=n_ahead)
     spool = Spool(
         files,
         max_bundles=settings.spool.max_bundles,
         camera_ids=session.source.camera_ids,
         archive=archive.take if settings.store.keep_raw > 0 else lambda path, seq: False,
-        store_trouble=lambda: _store_trouble(session.store),
+        store_trouble=lambda: None if store.trouble is None else f"store: {store.trouble}",
         left=session.left,
     )
     return spool, archive
@@ -249,38 +261,6 @@ def _build_processing(
             on_outcome=on_outcome,
         ),
         quarantine=session.quarantine,
-    )
-
-
-def _build_pool(session: Session, context: WorkerContext) -> WorkerPool:
-    return WorkerPool(
-        slots=session.settings.workers.slots,
-        deadline_s=session.settings.workers.deadline_s,
-        prepare=prepare,
-        context=context,
-        retry_s=WORKER_RETRY_S,
-    )
-
-
-def _build_remeasuring(
-    session: Session, calibrations: Calibrations, processing: Processing, context: WorkerContext
-) -> Remeasuring:
-    jobs = Jobs(
-        session.store,
-        calibrations.rig_file_of,
-        lambda: processing.background,
-        folder=session.folder / "again",
-        save_silhouettes=session.settings.store.save_silhouettes,
-    )
-    return Remeasuring(jobs, context, lambda: new_pool(context))
-
-
-def _build_retaining(session: Session, recordings: Recordings, loop: LoopWatch) -> Retaining:
-    return Retaining(
-        session.store,
-        recordings,
-        session.settings.store.retention,
-        is_clock_sure=lambda: loop.clock_step_s() is None,
     )
 
 

@@ -6,23 +6,20 @@ A configuration with a problem changes nothing: the daemon goes on with the last
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import replace
+from dataclasses import is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_type_hints
 
 from drivers.files.times import utc_now
 from service.base.errors import ServiceError, StoreError
 from service.base.redaction import redacted
+from service.base.schema import LIVE
 from service.base.status import Checks, ConfigurationState, trouble_check
 from service.configuration.settings import Settings, load_settings, problems
 from service.store import Store
 from service.store.audit import CONFIGURATION, note
 
 log = logging.getLogger(__name__)
-
-LIVE_SECTIONS = ("lots", "optics", "verification", "webhooks")
-LIVE_FIELDS = {"store": ("retention", "backup_every_h", "keep_backups"), "api": ("keys",)}
-"""What is applied without a restart. All else is built into the devices, the workers, the store or the sockets."""
 
 
 class Configuration:
@@ -61,7 +58,8 @@ class Configuration:
         if pending:
             log.warning("configuration: a restart is needed for %s", ", ".join(pending))
         if applied:
-            before, after = ({name: _at(settings, name) for name in applied} for settings in (old, live))
+            plain = (_flat(settings, "json") for settings in (old, live))
+            before, after = (redacted({name: values[name] for name in applied}) for values in plain)
             try:
                 await store.write(note, "SIGHUP", CONFIGURATION, str(self._file), before=before, after=after)
             except StoreError as err:  # of a store that is damaged, which health has told
@@ -75,14 +73,17 @@ def differences(one: Settings, other: Settings) -> list[str]:
 
 
 def with_live(now: Settings, wanted: Settings) -> Settings:
-    """Return the settings in use, with those of `wanted` that can be applied without a restart."""
-    fields = {
-        section: replace(
-            getattr(now, section), **{name: getattr(getattr(wanted, section), name) for name in names}
-        )
-        for section, names in LIVE_FIELDS.items()
-    }
-    return now.model_copy(update={name: getattr(wanted, name) for name in LIVE_SECTIONS} | fields)
+    """Return the settings in use, with those of `wanted` that are marked as `Live`."""
+    applied = {}
+    for section, field in Settings.model_fields.items():
+        old, new = getattr(now, section), getattr(wanted, section)
+        if LIVE in field.metadata:
+            applied[section] = new
+        elif is_dataclass(old) and not isinstance(old, type):
+            hints = get_type_hints(type(old), include_extras=True)
+            names = [name for name, hint in hints.items() if LIVE in getattr(hint, "__metadata__", ())]
+            applied[section] = replace(old, **{name: getattr(new, name) for name in names}) if names else old
+    return now.model_copy(update=applied)
 
 
 def _read(file: Path, now: Settings) -> tuple[Settings, Settings]:
@@ -96,16 +97,10 @@ def _read(file: Path, now: Settings) -> tuple[Settings, Settings]:
     return wanted, live
 
 
-def _flat(settings: Settings) -> Mapping[str, Any]:
-    # in Python's own values: as JSON two secrets are the same stars
-    sections = settings.model_dump()
+def _flat(settings: Settings, mode: Literal["python", "json"] = "python") -> Mapping[str, Any]:
+    """Return all values by `section.field`; in Python's own, because as JSON two secrets are the same stars."""
     return {
         f"{section}.{name}": value
-        for section, values in sections.items()
+        for section, values in settings.model_dump(mode=mode).items()
         for name, value in (values or {}).items()
     }
-
-
-def _at(settings: Settings, name: str) -> Any:
-    section, _, field = name.partition(".")
-    return redacted({field: settings.model_dump(mode="json")[section][field]})[field]

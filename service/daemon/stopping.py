@@ -4,6 +4,7 @@ import asyncio
 import logging
 import signal
 from dataclasses import dataclass, field
+from typing import Any
 
 log = logging.getLogger(__name__)
 
@@ -32,7 +33,7 @@ class StopRequests:
 
     async def unless_stopped(self, event: asyncio.Event) -> None:
         """Return when the event is set or a stop is requested."""
-        waiting = asyncio.create_task(_set(event))
+        waiting = asyncio.create_task(event.wait())
         await _first_of(waiting, self.stop)
         waiting.cancel()
 
@@ -43,11 +44,7 @@ class StopRequests:
         self.stop.set()
 
 
-async def _first_of(task: "asyncio.Task[None]", event: asyncio.Event, timeout_s: float | None = None) -> None:
-    waiting = asyncio.create_task(_set(event))
+async def _first_of(task: "asyncio.Task[Any]", event: asyncio.Event, timeout_s: float | None = None) -> None:
+    waiting = asyncio.create_task(event.wait())
     await asyncio.wait([task, waiting], timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
     waiting.cancel()
-
-
-async def _set(event: asyncio.Event) -> None:
-    await event.wait()

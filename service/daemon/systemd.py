@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from service.daemon.log_lines import LogLines
+from service.daemon.log_lines import STDERR, LogLines
 
 log = logging.getLogger(__name__)
 
@@ -91,15 +91,11 @@ class JournalFormatter(logging.Formatter):
 def configure_logging(environ: Mapping[str, str], level: int = logging.INFO) -> None:
     """Log to stderr: with the time, or with priorities if the journal reads it, which records the time itself."""
     handler = LogLines()
-    if _is_journal(environ.get("JOURNAL_STREAM", "")):
+    status = os.fstat(STDERR)
+    # the stream `device:inode` that the journal reads (systemd.exec(5))
+    if environ.get("JOURNAL_STREAM", "") == f"{status.st_dev}:{status.st_ino}":
         handler.setFormatter(JournalFormatter("%(name)s: %(message)s"))
     else:
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s"))
     logging.basicConfig(level=level, handlers=[handler], force=True)
     logging.getLogger("uvicorn").setLevel(logging.WARNING)  # the daemon logs its start and end
-
-
-def _is_journal(stream: str) -> bool:
-    """True when stderr is the stream `device:inode` that the journal reads (systemd.exec(5))."""
-    status = os.fstat(2)
-    return stream == f"{status.st_dev}:{status.st_ino}"

@@ -6,6 +6,7 @@ from enum import StrEnum
 from ipaddress import ip_network
 
 from service.base.addresses import address_of, is_host, is_loopback
+from service.base.schema import Live
 
 KEY_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 """Name of a key that `stonefall keys` creates."""
@@ -50,7 +51,7 @@ class ApiSettings:
     host: str = "127.0.0.1"
     port: int = 8080
     allowed_hosts: tuple[str, ...] = ()  # further names by which clients ask for this service
-    keys: tuple[ApiKey, ...] = ()  # more of them are made by `stonefall keys`
+    keys: Live[tuple[ApiKey, ...]] = ()  # more of them are made by `stonefall keys`
     without_keys: WithoutKeys = WithoutKeys.NOTHING  # only this machine may write, whatever stands here
     trusted_proxies: tuple[str, ...] = ()  # addresses and networks whose X-Forwarded-For says who asks
     loopback_reads_without_key: bool = False  # requests from this machine may read, although there are keys
