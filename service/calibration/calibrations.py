@@ -27,11 +27,16 @@ from service.base.status import (
     trouble_check,
 )
 from service.calibration.collecting import DropCollector
-from service.calibration.details import CalibrationDetails, calibration_details
-from service.calibration.drop_files import ObservedDrop, keep_drop
+from service.calibration.drop_files import (
+    CalibrationDetails,
+    ObservedDrop,
+    calibration_details,
+    keep_drop,
+    outline_paths,
+)
+from service.calibration.drop_jobs import Solved, SolveJob, Solver, solve_apart
 from service.calibration.files import Activation, CalibrationRecord, image_sizes_px
 from service.calibration.plan import CalibrationRequest, Method
-from service.calibration.solving import Solver, solve_apart, solve_calibration
 from service.calibration.startup import CalibrationsAtStart
 from service.calibration.states import (
     OPEN,
@@ -42,6 +47,7 @@ from service.calibration.states import (
 )
 from service.calibration.verifications import Verification, VerificationRequest, Verifications
 from service.processing.measure_job import RigFile
+from service.processing.worker_pool import JobLostError, WorkerStartError
 from service.results.fields import Result, Verified
 
 log = logging.getLogger(__name__)
@@ -65,10 +71,9 @@ class Calibrations:
         solver: Solver = solve_apart,
     ) -> None:
         """Continue with what the start has loaded; await `on_activated` before another calibration is used."""
-        self._files = at_start.files
-        self._records = at_start.records
-        self._activations = at_start.activations
-        self._solver = solver
+        self._files, self._records = at_start.files, at_start.records
+        self._activations, self._trouble = at_start.activations, at_start.trouble
+        self._solver, self._on_activated = solver, on_activated
         self._to_solve: asyncio.Queue[str] = asyncio.Queue()
         self._writing = asyncio.Lock()
         self._last_activity_s = time.monotonic()
@@ -78,10 +83,6 @@ class Calibrations:
         """The rig of the calibration in use."""
         self.rig_file = at_start.files.rig_file(at_start.active)
         """The rig file that the next bundle is measured with."""
-        self._trouble = at_start.trouble
-        self._on_activated = on_activated
-
-    # --- queries ---
 
     @property
     def open_calibration(self) -> CalibrationRecord | None:
@@ -126,18 +127,17 @@ class Calibrations:
 
     def facts(self) -> CalibrationFacts:
         """Return the facts about calibrations that health is assessed from."""
-        at_work = None
+        now, calibration_id, at_work = datetime.now(UTC), self.rig_file.calibration_id, None
         if self.wants_balls and (current := self.open_calibration) is not None:
             at_work = f"calibration {current.id} is {current.state}: what falls is a ball"
         elif (verification := self.verifications.current) is not None:
             at_work = f"verification {verification.id} waits for balls: what falls is a ball"
         return CalibrationFacts(
-            calibration_id=self.rig_file.calibration_id,
+            calibration_id=calibration_id,
             method=self.rig.method,
             used_since=self.activated.at,
             at_work=at_work,
-            trouble=self._trouble
-            or self.verifications.trouble(self.rig_file.calibration_id, datetime.now(UTC)),
+            trouble=self._trouble or self.verifications.trouble(calibration_id, now),
         )
 
     def all(self) -> list[CalibrationRecord]:
@@ -213,14 +213,11 @@ class Calibrations:
                     raise CalibrationConflictError(detail, state=record.state)
                 if action is CalibrationAction.SOLVE:
                     record = await self._change_state(record, state, calibration_id=None, detail=None)
+                    self._to_solve.put_nowait(name)
                 else:
                     record = await self._change_state(record, state, decided_by=by)
-                if action is CalibrationAction.SOLVE:
-                    self._to_solve.put_nowait(name)
                 log.info("calibration %s calibration=%s by=%s", state, name, by)
             return record
-
-    # --- the task ---
 
     async def run(self) -> None:
         """Solve calibrations on request, and cancel idle calibrations and verifications."""
@@ -241,25 +238,38 @@ class Calibrations:
         record = self._records[name]
         if record.state is not CalibrationState.SOLVING:  # cancelled before its turn came
             return
+        job = SolveJob(
+            outline_paths=tuple(await asyncio.to_thread(outline_paths, self._files.drops(name))),
+            initial_path=self.rig_file.path,
+            diameters_mm=record.ball_diameters_mm,
+            method=Method(record.method),  # as it was planned
+            name=self.rig.name,
+            created_at=utc_now(),
+            folder=self._files.folder / name,
+        )
         try:
-            calibration_id, detail = await solve_calibration(
-                self._files, record, self.rig_file, self.rig.name, self._solver
-            )
+            solved = await self._solver(job)
+        except (JobLostError, WorkerStartError) as err:
+            solved = Solved(calibration_id=None, refusal=f"the solution could not be computed: {err}")
         except OSError as err:
-            calibration_id, detail = None, f"the solution cannot be written: {err.strerror}"
-        state = CalibrationState.COLLECTING if calibration_id is None else CalibrationState.SOLVED
+            solved = Solved(calibration_id=None, refusal=f"the solution cannot be written: {err.strerror}")
         async with self._writing:
             record = self._records[name]
             if record.state is not CalibrationState.SOLVING:  # cancelled meanwhile
                 return
+            state = CalibrationState.COLLECTING if solved.calibration_id is None else CalibrationState.SOLVED
             try:
-                await self._change_state(record, state, calibration_id=calibration_id, detail=detail)
+                record = await self._change_state(
+                    record, state, calibration_id=solved.calibration_id, detail=solved.refusal
+                )
             except OSError as err:  # as after a restart, where an unfinished solution collects again
                 detail = f"the solution cannot be written: {err.strerror}"
-                state = CalibrationState.COLLECTING
-                self._records[name] = replace(record, state=state, calibration_id=None, detail=detail)
+                record = replace(
+                    record, state=CalibrationState.COLLECTING, calibration_id=None, detail=detail
+                )
+                self._records[name] = record
             self._last_activity_s = time.monotonic()
-        log.info("calibration %s calibration=%s %s", state, name, detail or "")
+        log.info("calibration %s calibration=%s %s", record.state, name, record.detail or "")
 
     async def _cancel_idle(self) -> None:
         async with self._writing:
@@ -268,8 +278,6 @@ class Calibrations:
                 detail = f"nothing fell for {IDLE_S / 60:.0f} minutes"
                 await self._change_state(current, CalibrationState.CANCELLED, detail=detail)
                 log.warning("calibration cancelled: %s calibration=%s", detail, current.id)
-
-    # --- internals ---
 
     def _require_none_open(self, acquisition: AcquisitionState) -> None:
         """Refuse when no drop would be seen, or another calibration or verification is open."""

@@ -13,9 +13,6 @@ from service.processing.processing import KeepDrop
 from service.processing.worker_pool import JobLostError, JobPool
 from service.results.fields import Result
 
-OUTLINES = "outlines.npz"
-"""File of a drop's outlines, in the folder of the job that measured it."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DropCollector:
@@ -32,16 +29,7 @@ class DropCollector:
 
         A drop that cannot be observed is passed on with the problem.
         """
-        outlines = job.out_dir / OUTLINES
-        observing = ObserveJob(
-            bundle_path=job.bundle_path,
-            camera_ids=job.camera_ids,
-            rig_file=job.rig_file,
-            background_path=job.background_path,
-            kind=self.kind,
-            diameters_mm=self.diameters_mm,
-            out_path=outlines,
-        )
+        observing = ObserveJob(job, self.kind, self.diameters_mm)
         problem: str | None = None
         try:
             drop = await pool.run(observe, observing)
@@ -52,7 +40,7 @@ class DropCollector:
 
         async def keep(record: Result) -> None:
             if problem is None:
-                await self.add(drop, record, outlines)
+                await self.add(drop, record, observing.outlines)
             else:
                 await self.add(ObservedDrop(bundle=record.bundle, problem=problem), record, None)
 

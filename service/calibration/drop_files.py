@@ -1,4 +1,4 @@
-"""The drops of a calibration on disk.
+"""The drops of a calibration on disk, and the details of a calibration that they make up.
 
 `<number>.npz` holds the outlines, `<number>.json` the figures that are shown. The second is written last: a drop
 without it does not count.
@@ -9,16 +9,19 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from statistics import fmean
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import PlainSerializer, TypeAdapter
+from pydantic import PlainSerializer
 
 from drivers.files.durable import replacing, write_json
 from pipeline.calibration import BallDrop, BallView
+from pipeline.calibration.coverage import Coverage, coverage
 from pipeline.frames import CameraId
+from pipeline.rig.cameras import RigCalibration
 from service.base.schema import ANSWER
-from service.calibration.files import read_document
+from service.calibration.files import CalibrationFiles, CalibrationRecord, read_document
 
 HEADER = "header.json"
 """Name of the array that is no camera's; a camera id has no dot."""
@@ -61,7 +64,7 @@ class ObservedDrop:
     """Why nothing was observed; null otherwise."""
 
 
-def drop_without_outlines(drop: ObservedDrop) -> BallDrop:
+def _without_outlines(drop: ObservedDrop) -> BallDrop:
     """Return the drop with centres and radii only, which is enough to judge the coverage."""
     return BallDrop(
         name=drop.bundle,
@@ -76,6 +79,37 @@ def drop_without_outlines(drop: ObservedDrop) -> BallDrop:
             for camera, circle in drop.views.items()
         },
         refused=drop.refused,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationDetails:
+    """A calibration with its drops, in the order in which they fell, their coverage and its report."""
+
+    record: CalibrationRecord
+    drops: list[ObservedDrop]
+    coverage: Coverage
+    residuals_px: Mapping[CameraId, float]  # rms over the drops, with the calibration in use when they fell
+    report: Mapping[str, Any] | None
+
+
+def calibration_details(
+    files: CalibrationFiles, record: CalibrationRecord, rig_in_use: RigCalibration
+) -> CalibrationDetails:
+    """Read the details of a calibration, or raise `RecordingError`; without a solution the rig in use judges."""
+    drops = kept_drops(files.drops(record.id))
+    is_solved = record.calibration_id is not None
+    squares: dict[CameraId, list[float]] = {}
+    for drop in drops:
+        for camera, residual_px in drop.residuals_px.items():
+            squares.setdefault(camera, []).append(residual_px**2)
+    rig = files.rig(record) if is_solved else rig_in_use
+    return CalibrationDetails(
+        record=record,
+        drops=drops,
+        coverage=coverage([_without_outlines(drop) for drop in drops], rig),
+        residuals_px={camera: fmean(squares[camera]) ** 0.5 for camera in sorted(squares)},
+        report=files.report(record) if is_solved else None,
     )
 
 
@@ -137,8 +171,7 @@ def keep_drop(folder: Path, drop: ObservedDrop, outlines_path: Path | None) -> N
 
 def kept_drops(folder: Path) -> list[ObservedDrop]:
     """Read the drops of a folder, in the order in which they fell; raise `RecordingError` when one is damaged."""
-    adapter = TypeAdapter(ObservedDrop)
-    return [read_document(path, adapter) for path in sorted(folder.glob("*.json"))]
+    return [read_document(path, ObservedDrop) for path in sorted(folder.glob("*.json"))]
 
 
 def outline_paths(folder: Path) -> list[Path]:

@@ -1,40 +1,44 @@
 """The jobs of a worker for a calibration: observe a drop in its bundle, solve the rig from all drops."""
 
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drivers.files.durable import write_json
 from drivers.files.recording import read_bundle
 from drivers.files.rig_file import read_rig, write_rig
-from pipeline.calibration import (
-    BallDrop,
-    CalibrationError,
-    CalibrationProblem,
-)
+from pipeline.calibration import BallDrop, CalibrationError
 from pipeline.calibration.ball_fit import fit_ball
 from pipeline.calibration.ball_sizes import apparent_diameter_mm
-from pipeline.frames import BundleKind, CameraId
+from pipeline.frames import BundleKind
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.views.epipolar_tangency import epipolar_tangents, tangency_scores_px
 from service.calibration.drop_files import ObservedDrop, SeenCircle, read_drop, write_drop
 from service.calibration.drops import observe_drop, refusal_of, solve_drops
+from service.calibration.files import REPORT, RIG
 from service.calibration.plan import Method
-from service.processing.measure_job import RigFile, background_at, rig_in, this_worker
+from service.processing.measure_job import MeasureJob, background_at, lower_priority, rig_in, this_worker
+from service.processing.worker_pool import WorkerPool
 from service.processing.worker_process import worker_boundary
 
+OUTLINES = "outlines.npz"
+"""File of a drop's outlines, in the folder of the job that measures it."""
+SOLVE_DEADLINE_S = 300.0
+"""The paper's method takes half a minute of one core."""
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+
+@dataclass(frozen=True, slots=True)
 class ObserveJob:
-    """A ball or stone to observe; its outlines are written to `out_path`."""
+    """A ball or stone to observe, in the bundle of a job that measures it; its outlines are written to `outlines`."""
 
-    bundle_path: Path
-    camera_ids: tuple[CameraId, ...]
-    rig_file: RigFile
-    background_path: Path | None
+    job: MeasureJob
     kind: BundleKind
     diameters_mm: tuple[float, ...]  # of the balls that may fall
-    out_path: Path
+
+    @property
+    def outlines(self) -> Path:
+        return self.job.out_dir / OUTLINES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,49 +59,34 @@ class Solved:
     """The outcome of a `SolveJob`; without a `calibration_id` there is no solution."""
 
     calibration_id: str | None
-    problems: tuple[CalibrationProblem, ...]
-
-    @property
-    def refusal(self) -> str | None:
-        """Return the reason not to use the solution, None when it may be used."""
-        return refusal_of(self.problems)
+    refusal: str | None
+    """Why the solution must not be used, or there is none; None when it may be used."""
 
 
-def observe(job: ObserveJob) -> ObservedDrop:
+Solver = Callable[[SolveJob], Awaitable[Solved]]
+
+
+def observe(wanted: ObserveJob) -> ObservedDrop:
     """Find the outlines of a drop in the views of a bundle and compare them with the calibration in use.
 
-    Raises
-    ------
-    RecordingError
-        Nothing of the bundle can be read.
-    WorkerFailure
-        Anything else, with the traceback as text.
+    Raises `RecordingError` if nothing of the bundle can be read, `WorkerFailure` for anything else.
     """
-    worker = this_worker()
+    job, worker = wanted.job, this_worker()
     bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
     with worker_boundary():
         rig = rig_in(job.rig_file)
         background = background_at(job.background_path)
         # never the network, whose training an edge must not depend on: views without comparison are left out
         segmenter = BackgroundSegmenter(worker.context.parameters.segmentation)
-        drop = observe_drop(bundle, background, segmenter, job.kind)
-        if job.kind is BundleKind.BALL:
-            drop = _with_nearest_diameter(drop, job.diameters_mm, rig)
-            observed = _observed_ball(drop, rig)
-        else:
-            observed = _observed_stone(drop, rig)
-        write_drop(job.out_path, drop)
-    return observed
+        drop = observe_drop(bundle, background, segmenter, wanted.kind)
+        if wanted.kind is BundleKind.BALL:
+            drop = _with_nearest_diameter(drop, wanted.diameters_mm, rig)
+        write_drop(wanted.outlines, drop)
+        return _observed(drop, rig, wanted.kind)
 
 
 def solve(job: SolveJob) -> Solved:
-    """Calibrate the rig from drops, in a process of its own.
-
-    Raises
-    ------
-    WorkerFailure
-        An unexpected exception, with the traceback as text; why nothing can be solved is in the `Solved`.
-    """
+    """Calibrate the rig from drops, in a process of its own; raise `WorkerFailure` for an unexpected exception."""
     with worker_boundary():
         drops = [read_drop(path) for path in job.outline_paths]
         initial = read_rig(job.initial_path)
@@ -111,10 +100,18 @@ def solve(job: SolveJob) -> Solved:
                 name=job.name,
             )
         except CalibrationError as err:
-            return Solved(calibration_id=None, problems=err.problems)
-        write_rig(job.folder / "rig.json", solved.rig)
-        write_json(job.folder / "report.json", solved.report)
-    return Solved(calibration_id=solved.rig.calibration_id, problems=solved.problems)
+            return Solved(calibration_id=None, refusal=refusal_of(err.problems))
+        write_rig(job.folder / RIG, solved.rig)
+        write_json(job.folder / REPORT, solved.report)
+    return Solved(calibration_id=solved.rig.calibration_id, refusal=solved.refusal)
+
+
+async def solve_apart(job: SolveJob) -> Solved:
+    """Run the job in a process of its own; raise `JobLostError` or `WorkerStartError` when that fails."""
+    async with WorkerPool(
+        slots=1, deadline_s=SOLVE_DEADLINE_S, prepare=lower_priority, context=None
+    ) as pool:  # bundles do not wait for it
+        return await pool.run(solve, job)
 
 
 def _with_nearest_diameter(drop: BallDrop, diameters_mm: tuple[float, ...], rig: RigCalibration) -> BallDrop:
@@ -126,32 +123,25 @@ def _with_nearest_diameter(drop: BallDrop, diameters_mm: tuple[float, ...], rig:
     return replace(drop, diameter_mm=nearest_mm)
 
 
-def _observed_ball(drop: BallDrop, rig: RigCalibration) -> ObservedDrop:
-    observed = _observed(drop)
-    fit = fit_ball(drop, rig)
-    if fit is None:
-        return observed
-    return replace(
-        observed,
-        center_mm=fit.center_mm,
-        residuals_px=dict(fit.residuals_px),
-        vertical_minus_horizontal_mm=fit.vertical_minus_horizontal_mm,
-    )
-
-
-def _observed_stone(drop: BallDrop, rig: RigCalibration) -> ObservedDrop:
-    outlines = {camera: view.outline_uv for camera, view in drop.views.items()}
-    scores_px = tangency_scores_px(epipolar_tangents(outlines, rig)) if outlines else {}
-    return replace(_observed(drop), residuals_px=scores_px)
-
-
-def _observed(drop: BallDrop) -> ObservedDrop:
+def _observed(drop: BallDrop, rig: RigCalibration, kind: BundleKind) -> ObservedDrop:
     circles = {
         camera: SeenCircle(
             center_uv=(float(view.center_uv[0]), float(view.center_uv[1])), radius_px=view.radius_px
         )
         for camera, view in drop.views.items()
     }
-    return ObservedDrop(
+    observed = ObservedDrop(
         bundle=drop.name, diameter_mm=drop.diameter_mm, views=circles, refused=dict(drop.refused)
+    )
+    if kind is not BundleKind.BALL:
+        outlines = {camera: view.outline_uv for camera, view in drop.views.items()}
+        scores_px = tangency_scores_px(epipolar_tangents(outlines, rig)) if outlines else {}
+        return replace(observed, residuals_px=scores_px)
+    if (fit := fit_ball(drop, rig)) is None:
+        return observed
+    return replace(
+        observed,
+        center_mm=fit.center_mm,
+        residuals_px=dict(fit.residuals_px),
+        vertical_minus_horizontal_mm=fit.vertical_minus_horizontal_mm,
     )

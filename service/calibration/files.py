@@ -15,7 +15,9 @@ killed at any moment leaves the old state or the new one. A file is written befo
 import logging
 import re
 import shutil
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -35,15 +37,9 @@ log = logging.getLogger(__name__)
 
 CALIBRATION_NAME = re.compile(r"[0-9]{4,9}")
 """Name of a calibration or verification: its number."""
-RIG, REPORT, SESSION, DROPS, ACTIVATIONS = (
-    "rig.json",
-    "report.json",
-    "session.json",
-    "drops",
-    "activations.json",
-)
+RIG, REPORT, SESSION = "rig.json", "report.json", "session.json"
+DROPS, ACTIVATIONS = "drops", "activations.json"
 
-Origin = Literal["configured", "session"]
 Document = TypeVar("Document")
 
 
@@ -55,7 +51,7 @@ class CalibrationRecord:
 
     id: str
     """Name of the calibration in the addresses."""
-    origin: Origin
+    origin: Literal["configured", "session"]
     """`configured`: from the rig file of the configuration; `session`: from drops."""
     state: CalibrationState
     """Its state: `collecting`, `solving` and `solved` are open, the others ended."""
@@ -110,8 +106,6 @@ class CalibrationFiles:
     """The folder of all calibrations."""
 
     folder: Path
-    _records: TypeAdapter[CalibrationRecord] = field(default_factory=lambda: TypeAdapter(CalibrationRecord))
-    _activations: TypeAdapter[Activations] = field(default_factory=lambda: TypeAdapter(Activations))
 
     def clean(self) -> None:
         """Create the folder, and remove unfinished files of a process that was killed."""
@@ -126,7 +120,7 @@ class CalibrationFiles:
             if not CALIBRATION_NAME.fullmatch(path.name):
                 continue
             try:
-                found.append(read_document(path / SESSION, self._records))
+                found.append(read_document(path / SESSION, CalibrationRecord))
             except RecordingError as err:
                 log.error("calibration %s is not used: %s", path.name, err)
         return found
@@ -146,16 +140,16 @@ class CalibrationFiles:
             (folder / DROPS).mkdir()
             if rig is not None:
                 write_rig(folder / RIG, rig)
-            write_json(folder / SESSION, self._records.dump_python(record, mode="json"))
+            write_document(folder / SESSION, record)
 
     def write(self, record: CalibrationRecord) -> None:
         """Replace the record of a calibration."""
-        write_json(self.folder / record.id / SESSION, self._records.dump_python(record, mode="json"))
+        write_document(self.folder / record.id / SESSION, record)
 
     def activations(self) -> Activations:
         """Read the activations, none before the first start; raise `RecordingError` when the file is damaged."""
         path = self.folder / ACTIVATIONS
-        return read_document(path, self._activations) if path.exists() else Activations()
+        return read_document(path, Activations) if path.exists() else Activations()
 
     def set_activations_aside(self, why: str) -> None:
         """Move the damaged list of activations away, with a note that says why."""
@@ -165,7 +159,7 @@ class CalibrationFiles:
 
     def write_activations(self, activations: Activations) -> None:
         """Replace the list of activations, and thereby which calibration is in use."""
-        write_json(self.folder / ACTIVATIONS, self._activations.dump_python(activations, mode="json"))
+        write_document(self.folder / ACTIVATIONS, activations)
 
     def rig(self, record: CalibrationRecord) -> RigCalibration:
         """Read the rig; raise `RecordingError` when it is missing, damaged or not the one recorded."""
@@ -196,16 +190,19 @@ def image_sizes_px(rig: RigCalibration) -> dict[CameraId, tuple[int, int]]:
     return {camera.id: camera.image_size_px for camera in rig.cameras}
 
 
-def read_document(path: Path, adapter: TypeAdapter[Document]) -> Document:
-    """Read a JSON file and validate it.
+_adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 
-    Raises
-    ------
-    RecordingError
-        The file cannot be read or has a wrong field; names both.
-    """
+
+def write_document(path: Path, document: Any) -> None:
+    """Write a dataclass durably to a JSON file."""
+    write_json(path, _adapter(type(document)).dump_python(document, mode="json"))
+
+
+def read_document(path: Path, kind: type[Document]) -> Document:
+    """Read a dataclass from a JSON file; raise `RecordingError`, which names file and field, if it cannot be."""
     try:
-        return adapter.validate_python(read_json(path))
+        found: Document = _adapter(kind).validate_python(read_json(path))
+        return found
     except ValidationError as err:
         error = err.errors()[0]
         raise RecordingError(path, f"{'.'.join(map(str, error['loc']))}: {error['msg']}") from err

@@ -13,16 +13,15 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, TypeAdapter, computed_field
+from pydantic import Field, computed_field
 
 from drivers.errors import RecordingError
-from drivers.files.durable import write_json
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
 from service.base.schema import ANSWER, REQUEST, Name, Remark, Time
 from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
-from service.calibration.files import CALIBRATION_NAME, read_document
+from service.calibration.files import CALIBRATION_NAME, read_document, write_document
 from service.calibration.plan import DiameterMm
 from service.calibration.verification_limits import (
     Summary,
@@ -48,6 +47,9 @@ class VerificationState(StrEnum):
     CANCELLED = "cancelled"
     VOID = "void"
     """It had a verdict, which counts no more: another ball was dropped, or the wrong diameter entered."""
+
+
+VERDICTS = (VerificationState.PASSED, VerificationState.FAILED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,19 +119,18 @@ def open_verifications(
     `on_ended` is told each that ends, on whichever thread.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    adapter = TypeAdapter(Verification)
     known = {}
     for path in sorted(folder.glob("*.json")):
         if not CALIBRATION_NAME.fullmatch(path.stem):
             continue
         try:
-            verification = read_document(path, adapter)
+            verification = read_document(path, Verification)
         except RecordingError as err:
             log.error("verification %s is not used: %s", path.stem, err)
             continue
         if verification.state is VerificationState.COLLECTING:
             verification = _cancelled(verification, "the daemon was restarted")
-            write_json(path, adapter.dump_python(verification, mode="json"))
+            write_document(path, verification)
             on_ended(verification)
         known[verification.id] = verification
     return Verifications(folder, known, parameters, on_ended)
@@ -149,7 +150,6 @@ class Verifications:
         self._known = known
         self.parameters = parameters
         self._on_ended = on_ended
-        self._adapter = TypeAdapter(Verification)
         self._writing = asyncio.Lock()
         self._last_ball_s = time.monotonic()
 
@@ -186,11 +186,8 @@ class Verifications:
 
     def last(self, calibration_id: str) -> Verification | None:
         """Return the latest verification of this calibration that passed or failed, None without one."""
-        verdicts = (VerificationState.PASSED, VerificationState.FAILED)
-        return next(
-            (each for each in self.all() if each.calibration_id == calibration_id and each.state in verdicts),
-            None,
-        )
+        found = (each for each in self.all() if each.calibration_id == calibration_id)
+        return next((each for each in found if each.state in VERDICTS), None)
 
     def verified(self, calibration_id: str, now: datetime) -> Verified:
         """Return the result of the last verification of a calibration, or that one is overdue."""
@@ -221,12 +218,8 @@ class Verifications:
 
     def series(self, diameter_mm: float) -> list[Verification]:
         """Return the verifications with balls of a diameter that have a verdict, oldest first, for a control chart."""
-        return [
-            each
-            for each in reversed(self.all())
-            if each.state in (VerificationState.PASSED, VerificationState.FAILED)
-            and each.diameter_mm == diameter_mm
-        ]
+        oldest_first = reversed(self.all())
+        return [each for each in oldest_first if each.state in VERDICTS and each.diameter_mm == diameter_mm]
 
     async def start(self, plan: VerificationRequest, calibration_id: str) -> Verification:
         """Open a verification; the caller makes sure that neither another one nor a calibration is open."""
@@ -258,10 +251,7 @@ class Verifications:
     async def void(self, name: str, reason: str) -> Verification | None:
         """Declare a verdict void and return the verification, as it is without a verdict; None when there is none."""
         verification = self._known.get(name)
-        if verification is not None and verification.state in (
-            VerificationState.PASSED,
-            VerificationState.FAILED,
-        ):
+        if verification is not None and verification.state in VERDICTS:
             problems = (*verification.problems, f"void: {reason}")
             verification = replace(verification, state=VerificationState.VOID, problems=problems)
             await self._keep(verification)
@@ -304,9 +294,8 @@ class Verifications:
 
     async def _keep(self, verification: Verification) -> None:
         self._known[verification.id] = verification
-        document = self._adapter.dump_python(verification, mode="json")
         async with self._writing:  # a ball may arrive during a cancellation
-            await asyncio.to_thread(write_json, self._folder / f"{verification.id}.json", document)
+            await asyncio.to_thread(write_document, self._folder / f"{verification.id}.json", verification)
         if verification.state is not VerificationState.COLLECTING:
             self._on_ended(verification)
 

@@ -16,6 +16,7 @@ from service.base.status import AcquisitionState
 from service.calibration.calibrations import Calibrations
 from service.calibration.drop_files import ObservedDrop, SeenCircle
 from service.calibration.drop_jobs import Solved, SolveJob
+from service.calibration.drops import refusal_of
 from service.calibration.files import Activation
 from service.calibration.plan import CalibrationRequest
 from service.calibration.startup import load_calibrations
@@ -47,10 +48,10 @@ class MadeUpSolver:
         if self.failure is not None:
             raise self.failure
         if self.rig is None:
-            return Solved(calibration_id=None, problems=self.problems)
+            return Solved(calibration_id=None, refusal=refusal_of(self.problems))
         write_rig(job.folder / "rig.json", self.rig)
         write_json(job.folder / "report.json", {"residuals_after_px": {}, "rig": {}})
-        return Solved(calibration_id=self.rig.calibration_id, problems=self.problems)
+        return Solved(calibration_id=self.rig.calibration_id, refusal=refusal_of(self.problems))
 
 
 def open_desk(

@@ -65,9 +65,9 @@ class ScriptedPool:
             return await self.run(function, make_job())
 
     async def run(self, function: Callable[[Any], Any], job: MeasureJob | LearnJob | ObserveJob) -> Any:
-        name = job.bundle_path.stem
         if isinstance(job, ObserveJob):
-            return self._observe(name, job)
+            return self._observe(job.job.bundle_path.stem, job)
+        name = job.bundle_path.stem
         self.jobs.append(job)
         self.has_job.set()
         if self.is_gated:
@@ -86,10 +86,10 @@ class ScriptedPool:
         return MeasuredBundle(record)
 
     def _observe(self, name: str, job: ObserveJob) -> ObservedDrop:
-        job.out_path.touch()  # a process that dies may leave half a file
+        job.outlines.touch()  # a process that dies may leave half a file
         if name in self.unseen:
             raise self.unseen[name]
-        return ObservedDrop(bundle=f"{name} {job.rig_file.calibration_id}")
+        return ObservedDrop(bundle=f"{name} {job.job.rig_file.calibration_id}")
 
 
 class ListStore:

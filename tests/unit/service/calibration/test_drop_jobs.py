@@ -24,7 +24,7 @@ from service.calibration.drop_jobs import ObserveJob, Solved, SolveJob, observe,
 from service.calibration.plan import Method
 from service.processing import measure_job
 from service.processing.background_files import write_background
-from service.processing.measure_job import RigFile, Worker, WorkerContext, WorkerFailure
+from service.processing.measure_job import MeasureJob, RigFile, Worker, WorkerContext, WorkerFailure
 from service.processing.segmenters import build_segmenter
 
 
@@ -42,17 +42,14 @@ def observed(folder: Path, kind: BundleKind, diameters_mm: tuple[float, ...] = (
     write_rig(folder / "rig.json", rig)
     write_background(folder / "background", rendered.background())
     write_bundle(folder / "bundle.tiff", rendered.sphere_bundle(), rig.camera_ids, compression="none")
-    return observe(
-        ObserveJob(
-            bundle_path=folder / "bundle.tiff",
-            camera_ids=rig.camera_ids,
-            rig_file=RigFile(folder / "rig.json", rig.calibration_id),
-            background_path=folder / "background",
-            kind=kind,
-            diameters_mm=diameters_mm,
-            out_path=folder / "outlines.npz",
-        )
+    job = MeasureJob(
+        bundle_path=folder / "bundle.tiff",
+        camera_ids=rig.camera_ids,
+        rig_file=RigFile(folder / "rig.json", rig.calibration_id),
+        background_path=folder / "background",
+        out_dir=folder,
     )
+    return observe(ObserveJob(job, kind, diameters_mm))
 
 
 def test_a_ball_is_the_one_of_two_that_it_looks_like(worker: None, tmp_path: Path):
@@ -73,18 +70,16 @@ def test_a_stone_is_compared_by_its_tangents(worker: None, tmp_path: Path):
 
 def test_another_rig_under_the_name_is_no_measurement(worker: None, tmp_path: Path):
     write_rig(tmp_path / "rig.json", nominal_rig())
-    job = ObserveJob(
+    job = MeasureJob(
         bundle_path=tmp_path / "bundle.tiff",
         camera_ids=rendered.rig().camera_ids,
         rig_file=RigFile(tmp_path / "rig.json", "another"),
         background_path=None,
-        kind=BundleKind.BALL,
-        diameters_mm=(15.0,),
-        out_path=tmp_path / "outlines.npz",
+        out_dir=tmp_path,
     )
     write_bundle(job.bundle_path, rendered.sphere_bundle(), job.camera_ids, compression="none")
     with pytest.raises(WorkerFailure, match=r"holds calibration .*, not another"):
-        observe(job)
+        observe(ObserveJob(job, BundleKind.BALL, (15.0,)))
 
 
 def solution_of(

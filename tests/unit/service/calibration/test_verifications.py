@@ -163,7 +163,7 @@ async def test_a_ball_and_a_cancellation_are_written_one_after_the_other(
     """Both write the same file through the same temporary one."""
     desk = opened(tmp_path)
     name = (await desk.start(PLAN, "rig")).id
-    write, is_writing = verifications.write_json, threading.Lock()
+    write, is_writing = verifications.write_document, threading.Lock()
 
     def write_slowly(path: Path, document: Any) -> None:
         assert is_writing.acquire(blocking=False)
@@ -171,7 +171,7 @@ async def test_a_ball_and_a_cancellation_are_written_one_after_the_other(
         write(path, document)
         is_writing.release()
 
-    monkeypatch.setattr(verifications, "write_json", write_slowly)
+    monkeypatch.setattr(verifications, "write_document", write_slowly)
     await asyncio.gather(let_fall(desk, [15.0]), desk.cancel(name, "cancelled on request"))
     found = opened(tmp_path).find(name)
     assert found is not None
