@@ -26,9 +26,9 @@ from service.configuration.settings import Settings, load_settings, problems, sh
 from service.daemon.diagnostics.archive import build_archive
 from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
 from service.health.alarms.rules import load_rules
-from service.host.check import check_host
 from service.host.finding import Finding, HostVerdict, fault, good, judged, unknown
 from service.host.host import ROOT, Host, host_at
+from service.host.machine import check_host
 from service.store.schema import is_locked
 
 TIMEOUT_S = 5.0

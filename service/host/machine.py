@@ -7,6 +7,7 @@ from pathlib import Path
 from service.host.finding import Finding, fault, installed, judged, unknown
 from service.host.host import Host, Mount
 from service.host.needs import HostNeeds
+from service.host.network import check_network
 
 FILES = 4096
 """Open files and connections: cameras, workers, and what REST admits; as the unit sets it."""
@@ -27,8 +28,14 @@ JOURNAL = installed(
 )
 
 
-def check_machine(host: Host, needs: HostNeeds) -> Iterator[Finding]:
-    """Check the machine itself: processor, gate, clock, journal, spool, descriptors, disk and memory."""
+def check_host(host: Host, needs: HostNeeds) -> list[Finding]:
+    """Check a host; reads files, and asks each network port for its receive ring."""
+    return list(_checks(host, needs))
+
+
+def _checks(host: Host, needs: HostNeeds) -> Iterator[Finding]:
+    if needs.network is not None:
+        yield from check_network(host, needs.network)
     yield _governor(host)
     yield from _gate(host, needs)
     yield _clock(host)

@@ -11,9 +11,9 @@ from support.recordings import make_bundle, write_recording
 from typer.testing import CliRunner
 
 from service.commands.cli import build_app
-from service.host.check import check_host
 from service.host.finding import Finding, HostVerdict
 from service.host.host import Host, Ring, host_at
+from service.host.machine import check_host
 from service.host.needs import CameraNetwork, HostNeeds
 
 ROOT = Path(__file__).parents[4]

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from service.base.redaction import scrubbed
 from service.commands.cli import build_app
 from service.configuration.settings import load_settings
-from service.daemon.diagnostics import archive, parts
+from service.daemon.diagnostics import archive
 from service.daemon.diagnostics.archive import build_archive
 from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
 from service.daemon.diagnostics.inputs import Inputs, Secrets
@@ -85,7 +85,7 @@ def test_known_secrets_never_appear_however_they_look(
     def fails(_: Inputs) -> None:
         raise RuntimeError(planted)
 
-    makers = {"log.txt": lambda _: planted, "host.json": parts.host}
+    makers = {"log.txt": lambda _: planted, "host.json": archive.PARTS["host.json"]}
     if where == "error":
         makers["host.json"] = fails
     monkeypatch.setattr(archive, "PARTS", makers)
