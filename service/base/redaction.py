@@ -1,7 +1,8 @@
 """Show a configuration, or any text, without what must stay secret."""
 
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
+from functools import partial
 from typing import Any
 
 SECRET_NAME = re.compile(
@@ -32,20 +33,23 @@ SECRET_TEXTS = tuple(
 """What is secret wherever it stands, such as in a log."""
 
 
-def redacted(document: Any) -> Any:
-    """Return a document with the values of all members named like a secret replaced, and URLs as `shown`."""
+def redacted(document: Any, clean: Callable[[str], str] = str) -> Any:
+    """Return a document with the values of all members named like a secret replaced, and URLs as `shown`.
+
+    `clean` is applied to its texts, and to the names of its members.
+    """
     match document:
         case dict():
             return {
-                name: REDACTED
+                clean(name): REDACTED
                 if SECRET_NAME.search(name) and value not in (None, "", (), [])
-                else redacted(value)
+                else redacted(value, clean)
                 for name, value in document.items()
             }
         case list() | tuple():
-            return [redacted(each) for each in document]
+            return [redacted(each, clean) for each in document]
         case str():
-            return shown(document)
+            return clean(shown(document))
     return document
 
 
@@ -65,18 +69,7 @@ def scrubbed(text: str, known: Iterable[str] = ()) -> str:
 
 def scrubbed_document(document: Any, known: Collection[str] = ()) -> Any:
     """Return a document as `redacted` does, with each text and name in it scrubbed."""
-
-    def walk(part: Any) -> Any:
-        match part:
-            case dict():
-                return {scrubbed(str(name), known): walk(value) for name, value in part.items()}
-            case list() | tuple():
-                return [walk(each) for each in part]
-            case str():
-                return scrubbed(part, known)
-        return part
-
-    return walk(redacted(document))
+    return redacted(document, partial(scrubbed, known=known))
 
 
 def _shown_url(url: re.Match[str]) -> str:

@@ -75,13 +75,7 @@ def solve_drops(
     created_at: str,
     name: str,
 ) -> SolvedRig:
-    """Calibrate the rig from drops, starting from an initial one.
-
-    Raises
-    ------
-    CalibrationError
-        Nothing can be solved from these drops; carries the problems.
-    """
+    """Calibrate the rig from drops, starting from an initial one; raise `CalibrationError` with the problems."""
     match method:
         case Method.STONES:
             stones = [{camera: view.outline_uv for camera, view in drop.views.items()} for drop in drops]

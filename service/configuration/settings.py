@@ -135,10 +135,7 @@ class Settings(BaseModel):
 def load_settings(path: Path) -> Settings:
     """Read and check a configuration file, but not the files that it refers to: see `problems`.
 
-    Raises
-    ------
-    SettingsError
-        The file cannot be read or has wrong fields; names the file and each of them.
+    Raises `SettingsError`, which names the file and each wrong field.
     """
     try:
         text = read_bounded(path, MAX_BYTES).decode()

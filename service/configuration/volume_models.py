@@ -29,25 +29,13 @@ class MeasuringSettings:
 
     @property
     def parameters(self) -> MeasuringParameters:
-        """Return the parameters of the pipeline.
-
-        Raises
-        ------
-        VolumeModelError
-            The file of the volume model cannot be used.
-        """
+        """Return the parameters of the pipeline; raise `VolumeModelError` when the file of the model is unusable."""
         model = SYNTHETIC if self.volume_model is None else read_volume_model(self.volume_model)
         return MeasuringParameters(density_g_cm3=self.density_g_cm3, volume_model=model)
 
 
 def read_volume_model(path: Path) -> VolumeModel:
-    """Read the coefficients in a file.
-
-    Raises
-    ------
-    VolumeModelError
-        The file cannot be read or has a wrong field; names both.
-    """
+    """Read the coefficients in a file; raise `VolumeModelError`, which names file and field, if they are wrong."""
     try:
         document = json.loads(read_bounded(path, MAX_BYTES))
     except OSError as err:

@@ -68,13 +68,7 @@ class Alarms:
         )
 
     async def acknowledge(self, number: int, who: str) -> Alarm | None:
-        """Acknowledge an alarm and return it; None if there is none that has not ended.
-
-        Raises
-        ------
-        AlarmConflictError
-            It is shelved or suppressed.
-        """
+        """Acknowledge an alarm and return it, None if it has ended; raise `AlarmConflictError` as the machine does."""
         before = self._machine.find(number)
         change = self._machine.acknowledge(number, who, utc_now())
         if change is None:
@@ -95,13 +89,7 @@ class Alarms:
         return None if change is None else await self._noted(change, before, who, "alarm shelved")
 
     async def unshelve(self, number: int, who: str) -> Alarm | None:
-        """Unshelve an alarm and return it; None if there is none that has not ended.
-
-        Raises
-        ------
-        AlarmConflictError
-            It is not shelved.
-        """
+        """Unshelve an alarm and return it, None if it has ended; raise `AlarmConflictError` if it is not shelved."""
         before, after = self._machine.unshelve(number, time.monotonic()), None
         for change in self._machine.update(self._checks, time.monotonic(), utc_now()):
             if change.alarm.id == number:

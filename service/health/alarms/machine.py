@@ -115,10 +115,7 @@ class AlarmMachine:
     def acknowledge(self, number: int, who: str, at: str) -> Change | None:
         """Acknowledge an alarm; None if there is none of this number or it was acknowledged.
 
-        Raises
-        ------
-        AlarmConflictError
-            It is shelved or suppressed: there is nothing to acknowledge.
+        Raises `AlarmConflictError` if it is shelved or suppressed.
         """
         alarm = self.find(number)
         if alarm is None or alarm.state is AlarmState.ACKNOWLEDGED:
@@ -155,13 +152,7 @@ class AlarmMachine:
         return self._keep(Change(alarm, EventType.ALARM_SHELVED))
 
     def unshelve(self, number: int, now_s: float) -> Alarm | None:
-        """Unshelve an alarm with the next `update`; return it, None if there is none of this number.
-
-        Raises
-        ------
-        AlarmConflictError
-            It is not shelved.
-        """
+        """Unshelve an alarm with the next `update` and return it; raise `AlarmConflictError` if it is not shelved."""
         alarm = self.find(number)
         if alarm is not None and alarm.state is not AlarmState.SHELVED:
             raise AlarmConflictError(f"alarm {number} is {alarm.state}, not shelved")

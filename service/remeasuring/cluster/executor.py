@@ -28,12 +28,7 @@ def scheduler_address(executor: str) -> str:
 async def open_cluster(executor: str, context: WorkerContext) -> AsyncIterator[JobPool]:
     """Provide the pool of the cluster at `dask://HOST:PORT`, which has one worker at least.
 
-    Raises
-    ------
-    UsageError
-        That is no address, or the extra is not installed.
-    ClusterError
-        The scheduler does not answer, or no worker joins it.
+    Raises `UsageError` without an address or the extra, `ClusterError` if no scheduler answers or no worker joins it.
     """
     address = scheduler_address(executor)
     try:

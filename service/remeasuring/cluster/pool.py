@@ -96,14 +96,9 @@ class ClusterPool:
         self._digest_of = lru_cache(N_DIGESTS)(digest_of)  # none is rewritten under its name
 
     async def run(self, function: Callable[[Job], Result], job: Job) -> Result:
-        """Return `function(job)`, computed on the cluster if a bundle is to be measured; raises as `WorkerPool` does.
+        """Return `function(job)`, computed on the cluster if a bundle is to be measured.
 
-        Raises
-        ------
-        JobLostError
-            The bundle failed twice, or one worker of the cluster after the other died over it.
-        ClusterError
-            The cluster is gone, or a worker of it cannot measure.
+        Raises `JobLostError` as `WorkerPool` does, `ClusterError` if the cluster is gone or a worker cannot measure.
         """
         if isinstance(job, MeasureJob):
             return cast(Result, await self._measure(job))
