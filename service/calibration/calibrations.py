@@ -26,7 +26,6 @@ from service.base.status import (
     health_check,
     trouble_check,
 )
-from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import (
     CalibrationDetails,
     ObservedDrop,
@@ -34,7 +33,7 @@ from service.calibration.drop_files import (
     keep_drop,
     outline_paths,
 )
-from service.calibration.drop_jobs import Solved, SolveJob, Solver, solve_apart
+from service.calibration.drop_jobs import DropCollector, Solved, SolveJob, Solver, solve_apart
 from service.calibration.files import Activation, CalibrationRecord, image_sizes_px
 from service.calibration.plan import CalibrationRequest, Method
 from service.calibration.startup import CalibrationsAtStart

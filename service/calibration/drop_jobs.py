@@ -1,9 +1,10 @@
-"""The jobs of a worker for a calibration: observe a drop in its bundle, solve the rig from all drops."""
+"""The jobs of a calibration, with those who have them done: observe a drop in its bundle, solve the rig from drops."""
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from drivers.errors import RecordingError
 from drivers.files.durable import write_json
 from drivers.files.recording import read_bundle
 from drivers.files.rig_file import read_rig, write_rig
@@ -19,8 +20,10 @@ from service.calibration.drops import observe_drop, refusal_of, solve_drops
 from service.calibration.files import REPORT, RIG
 from service.calibration.plan import Method
 from service.processing.measure_job import MeasureJob, background_at, lower_priority, rig_in, this_worker
-from service.processing.worker_pool import WorkerPool
+from service.processing.processing import KeepDrop
+from service.processing.worker_pool import JobLostError, JobPool, WorkerPool
 from service.processing.worker_process import worker_boundary
+from service.results.fields import Result
 
 OUTLINES = "outlines.npz"
 """File of a drop's outlines, in the folder of the job that measures it."""
@@ -112,6 +115,39 @@ async def solve_apart(job: SolveJob) -> Solved:
         slots=1, deadline_s=SOLVE_DEADLINE_S, prepare=lower_priority, context=None
     ) as pool:  # bundles do not wait for it
         return await pool.run(solve, job)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DropCollector:
+    """Observes the drops of one kind and passes each on as soon as its result is durable."""
+
+    kind: BundleKind
+    diameters_mm: tuple[float, ...]
+    """Diameters of the balls that may fall; empty for stones."""
+    add: Callable[[ObservedDrop, Result, Path | None], Awaitable[None]]
+    """Called with a drop, its result record, and the file of its outlines, None when nothing was observed."""
+
+    async def observe(self, pool: JobPool, job: MeasureJob) -> KeepDrop:
+        """Find the outlines of a drop in a worker. Return the awaitable that keeps them once its result is durable.
+
+        A drop that cannot be observed is passed on with the problem.
+        """
+        observing = ObserveJob(job, self.kind, self.diameters_mm)
+        problem: str | None = None
+        try:
+            drop = await pool.run(observe, observing)
+        except RecordingError as err:
+            problem = err.problem
+        except JobLostError as err:
+            problem = str(err)
+
+        async def keep(record: Result) -> None:
+            if problem is None:
+                await self.add(drop, record, observing.outlines)
+            else:
+                await self.add(ObservedDrop(bundle=record.bundle, problem=problem), record, None)
+
+        return keep
 
 
 def _with_nearest_diameter(drop: BallDrop, diameters_mm: tuple[float, ...], rig: RigCalibration) -> BallDrop:

@@ -19,8 +19,8 @@ from drivers.errors import RecordingError
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
 from service.base.schema import ANSWER, REQUEST, Name, Remark, Time
-from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
+from service.calibration.drop_jobs import DropCollector
 from service.calibration.files import CALIBRATION_NAME, read_document, write_document
 from service.calibration.plan import DiameterMm
 from service.calibration.verification_limits import (

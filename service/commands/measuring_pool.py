@@ -9,7 +9,7 @@ import typer
 from service.base.errors import ServiceError
 from service.processing.measure_job import WorkerContext, prepare
 from service.processing.worker_pool import JobPool, WorkerPool
-from service.remeasuring.cluster.executor import open_cluster
+from service.remeasuring.executor import open_cluster
 
 DEADLINE_S = 600.0
 """Only a worker that hangs is ended: no stone waits here."""

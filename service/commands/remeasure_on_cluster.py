@@ -19,7 +19,7 @@ from service.commands.daemon_client import DaemonClient, DaemonError
 from service.commands.measuring_pool import IN_FLIGHT
 from service.processing.measure_job import measure
 from service.processing.worker_pool import JobLostError, JobPool
-from service.remeasuring.cluster.executor import open_cluster
+from service.remeasuring.executor import open_cluster
 from service.remeasuring.jobs import Hindrance
 from service.remeasuring.orders import MAX_OPEN, Order, read_context, read_order, write_record
 

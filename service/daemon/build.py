@@ -94,10 +94,7 @@ async def build(configured: Configuration, store: Store, reading: Reading, reque
         save_silhouettes=settings.store.save_silhouettes,
     )
     retaining = Retaining(
-        store,
-        recordings,
-        settings.store.retention,
-        is_clock_sure=lambda: watches.loop.clock_step_s() is None,
+        store, recordings, settings.store.retention, is_clock_sure=lambda: watches.loop.clock_step_s() is None
     )
     daemon = Daemon(
         configured=configured,

@@ -47,11 +47,7 @@ def parts_of(daemon: Daemon, file_drop: FileDrop, reading: Reading, requests: St
         Part(run=partial(alarming.run, daemon.health), close=partial(_end_alarming, session.events)),
         Part(run=archive.run, close=partial(_end_archive, archive, requests), checks=archive.checks),
         Part(run=backing_up.run, checks=backing_up.checks, use=lambda new: backing_up.use(new.store)),
-        Part(
-            run=retaining.run,
-            checks=retaining.checks,
-            use=lambda new: retaining.use(new.store.retention),
-        ),
+        Part(run=retaining.run, checks=retaining.checks, use=lambda new: retaining.use(new.store.retention)),
         Part(run=daemon.webhooks.run, checks=daemon.webhooks.checks),
         Part(run=partial(file_drop.run, files_maker(store, daemon, reading)), checks=file_drop.checks),
         Part(

@@ -7,24 +7,13 @@ than specified has a check that names it, made by the part that it is about. Her
 from collections.abc import Iterable
 
 from pipeline.views.quality import ViewsParameters
-from service.base.status import (
-    AcquisitionState,
-    AcquisitionStatus,
-    Checks,
-    CheckStatus,
-    Health,
-    Ne107,
-)
+from service.base.status import AcquisitionState, AcquisitionStatus, Checks, CheckStatus, Health, Ne107
 from service.health.alarms.rules import CAMERA, load_rules
 from service.health.device_words import gate_ne107
 
 
 def assess(
-    parts: Iterable[Checks],
-    *,
-    acquisition: AcquisitionStatus,
-    views: ViewsParameters,
-    rig_ne107: Ne107,
+    parts: Iterable[Checks], *, acquisition: AcquisitionStatus, views: ViewsParameters, rig_ne107: Ne107
 ) -> Health:
     """Return the checks of all parts, in the order of `alarms.toml`, and the state that follows from them.
 

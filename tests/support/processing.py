@@ -9,9 +9,8 @@ from typing import Any
 from support.outcomes import measured
 
 from pipeline.frames import BundleKind, CameraId, Trigger
-from service.calibration.collecting import DropCollector
 from service.calibration.drop_files import ObservedDrop
-from service.calibration.drop_jobs import ObserveJob
+from service.calibration.drop_jobs import DropCollector, ObserveJob
 from service.processing.measure_job import LearnJob, MeasuredBundle, MeasureJob, RigFile
 from service.processing.processing import Processing, ProcessingContext, ProcessingObserver
 from service.processing.quarantine import Quarantine

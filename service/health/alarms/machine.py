@@ -183,14 +183,7 @@ class AlarmMachine:
         return False
 
     def _next(
-        self,
-        name: str,
-        watched: _Watched,
-        alarm: Alarm | None,
-        *,
-        is_suppressed: bool,
-        now_s: float,
-        at: str,
+        self, name: str, watched: _Watched, alarm: Alarm | None, *, is_suppressed: bool, now_s: float, at: str
     ) -> Change | None:
         """Return the transition of an alarm, None if nothing changes."""
         is_active, priority = watched.is_active, watched.priority

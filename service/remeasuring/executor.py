@@ -34,7 +34,7 @@ async def open_cluster(executor: str, context: WorkerContext) -> AsyncIterator[J
     try:
         import dask
 
-        from service.remeasuring.cluster.pool import connected_pool
+        from service.remeasuring.cluster import connected_pool
     except ImportError as err:
         raise UsageError(
             f"--executor needs the extra [cluster], which is not installed ({err}):"

@@ -13,9 +13,9 @@ from drivers.files.recording import open_recording
 from pipeline.particle import PipelineParameters
 from service.base.errors import UsageError
 from service.processing.measure_job import MeasureJob, RigFile, WorkerContext
-from service.remeasuring.cluster import tasks
-from service.remeasuring.cluster.executor import open_cluster, scheduler_address
-from service.remeasuring.cluster.tasks import ClusterJob, installed_versions
+from service.remeasuring import cluster
+from service.remeasuring.cluster import ClusterJob, installed_versions
+from service.remeasuring.executor import open_cluster, scheduler_address
 
 
 def test_an_executor_is_the_address_of_a_scheduler() -> None:
@@ -66,10 +66,10 @@ def test_a_digest_is_of_names_and_bytes(tmp_path: Path) -> None:
         folder.mkdir()
         for name, data in files.items():
             (folder / name).write_bytes(data)
-        digests.add(tasks.digest_of(folder))
+        digests.add(cluster.digest_of(folder))
     assert len(digests) == 3
     shutil.copytree(tmp_path / "0", tmp_path / "copy")
-    assert tasks.digest_of(tmp_path / "copy") == tasks.digest_of(tmp_path / "0")
+    assert cluster.digest_of(tmp_path / "copy") == cluster.digest_of(tmp_path / "0")
 
 
 @pytest.mark.parametrize("name", ["bundle", "background", "rig.json"])
@@ -86,24 +86,24 @@ def test_a_path_that_is_not_shared_is_named(tmp_path: Path, name: str) -> None:
         background_path=background,
         out_dir=tmp_path / "out",
     )
-    digests = {path: tasks.digest_of(path) for path in (rig_path, background)}
+    digests = {path: cluster.digest_of(path) for path in (rig_path, background)}
     task = ClusterJob(job=job, header=first, digests=digests)
-    assert tasks._unshared(task, tasks.digest_of) is None
+    assert cluster._unshared(task, cluster.digest_of) is None
     path = {"bundle": first.path, "background": background, "rig.json": rig_path}[name]
     file = path / "c01" if path.is_dir() else path
     for change in (lambda: file.write_bytes(second.path.read_bytes()), file.unlink):
         change()
-        told = tasks._unshared(task, tasks.digest_of)
+        told = cluster._unshared(task, cluster.digest_of)
         assert told is not None and told.startswith(
             f"{path} is missing there, or another file: share its folder"
         )
 
 
 def test_a_worker_that_would_measure_otherwise_or_cannot_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert tasks._trouble(installed_versions()) is None
+    assert cluster._trouble(installed_versions()) is None
     assert "numpy" in installed_versions()
-    told = tasks._trouble({**installed_versions(), "algorithm": "0"})
+    told = cluster._trouble({**installed_versions(), "algorithm": "0"})
     assert told is not None and "instead of 0" in told
     monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)  # type: ignore[attr-defined]
-    told = tasks._trouble(installed_versions())
+    told = cluster._trouble(installed_versions())
     assert told is not None and "--no-nanny" in told

@@ -1,1 +1,0 @@
-"""Bundles measured by the workers of a dask.distributed cluster, with the same results as on this machine."""
