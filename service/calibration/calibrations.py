@@ -11,6 +11,7 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -94,11 +95,8 @@ class Calibrations:
         current = self.open_calibration
         if current is None:
             return self.verifications.collector
-
-        async def add(drop: ObservedDrop, record: Result, outlines: Path | None) -> None:
-            await self._add_drop(current.id, drop, outlines)
-
         kind = BundleKind.PARTICLE if current.method == Method.STONES else BundleKind.BALL
+        add = partial(self._add_drop, current.id)
         return DropCollector(kind=kind, diameters_mm=current.ball_diameters_mm, add=add)
 
     @property
@@ -326,7 +324,7 @@ class Calibrations:
         self._records[record.id] = record
         return record
 
-    async def _add_drop(self, name: str, drop: ObservedDrop, outlines: Path | None) -> None:
+    async def _add_drop(self, name: str, drop: ObservedDrop, record: Result, outlines: Path | None) -> None:
         if self._records[name].state not in OPEN:
             return
         await asyncio.to_thread(keep_drop, self._files.drops(name), drop, outlines)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -86,13 +86,8 @@ def solve_drops(
             )
         case Method.BUNDLE | Method.PAPER:
             balls = with_diameters(drops, initial, diameters_mm)
-            report = calibrate(
-                balls,
-                initial,
-                method="bundle" if method is Method.BUNDLE else "paper",
-                created_at=created_at,
-                name=name,
-            )
+            kind: Literal["bundle", "paper"] = "bundle" if method is Method.BUNDLE else "paper"
+            report = calibrate(balls, initial, method=kind, created_at=created_at, name=name)
             return SolvedRig(evidence=report, problems=report.problems, report=report_document(report))
 
 

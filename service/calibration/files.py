@@ -169,10 +169,6 @@ class CalibrationFiles:
             raise RecordingError(path, f"is not the rig of calibration {record.id}: the file was replaced")
         return rig
 
-    def write_rig(self, record: CalibrationRecord, rig: RigCalibration) -> None:
-        """Replace the rig file of a calibration."""
-        write_rig(self.folder / record.id / RIG, rig)
-
     def rig_file(self, record: CalibrationRecord) -> RigFile:
         """Return path and id of the rig, as jobs name it; `ValueError` without a rig."""
         if record.calibration_id is None:

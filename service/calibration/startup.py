@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drivers.errors import RecordingError
+from drivers.files.rig_file import write_rig
 from drivers.files.times import utc_now
 from pipeline.rig.cameras import RigCalibration
 from service.calibration.files import (
@@ -62,11 +63,8 @@ def load_calibrations(folder: Path, configured: RigCalibration) -> CalibrationsA
         why = "no calibration that was in use can be read"
         activations = _activate_configured(files, records, activations, configured, why)
         record = records[activations.items[-1].id]
-        usable = (
-            record,
-            _configured_rig(files, record, configured),
-            f"{why}, the configured rig file is used: activate another calibration",
-        )
+        remedy = f"{why}, the configured rig file is used: activate another calibration"
+        usable = record, _configured_rig(files, record, configured), remedy
     active, rig, trouble = usable
     for record in list(records.values()):
         if record.state in OPEN:
@@ -84,34 +82,26 @@ def _activate_configured(
     why: str,
 ) -> Activations:
     """Make the configured rig file a version, unless it is one already, and activate it."""
-    known = [
-        record
-        for record in records.values()
-        if record.state is CalibrationState.ACCEPTED and record.calibration_id == configured.calibration_id
-    ]
-    if known:
-        record = known[-1]
-    else:
+    accepted, calibration_id = CalibrationState.ACCEPTED, configured.calibration_id
+    of_this_rig = (record for record in reversed(records.values()) if record.calibration_id == calibration_id)
+    record = next((record for record in of_this_rig if record.state is accepted), None)
+    if record is None:
         record = CalibrationRecord(
             id=files.next_name(),
             origin="configured",
-            state=CalibrationState.ACCEPTED,
+            state=accepted,
             method=configured.method,
             created_at=utc_now(),
             changed_at=utc_now(),
             note=why if records else "initial",
-            calibration_id=configured.calibration_id,
+            calibration_id=calibration_id,
         )
         files.create(record, configured)
         records[record.id] = record
     if activations.items:
         log.warning("%s: the configured rig file is used from now on calibration=%s", why, record.id)
-    chosen = Activation(
-        id=record.id, calibration_id=configured.calibration_id, at=utc_now(), by="configuration"
-    )
-    activations = Activations(
-        configured_calibration_id=configured.calibration_id, items=(*activations.items, chosen)
-    )
+    chosen = Activation(id=record.id, calibration_id=calibration_id, at=utc_now(), by="configuration")
+    activations = Activations(configured_calibration_id=calibration_id, items=(*activations.items, chosen))
     files.write_activations(activations)
     return activations
 
@@ -135,10 +125,10 @@ def _latest_usable(
             log.error("calibration %s cannot be used: it was made with other cameras", record.id)
         except (KeyError, RecordingError) as err:
             log.error("calibration %s cannot be used, the one before is: %s", activation.id, err)
-            trouble = (
-                trouble
-                or f"calibration {activation.id} is damaged and an older one is in use: activate another one"
+            damaged = (
+                f"calibration {activation.id} is damaged and an older one is in use: activate another one"
             )
+            trouble = trouble or damaged
     return None
 
 
@@ -150,7 +140,7 @@ def _configured_rig(
         return files.rig(record)
     except RecordingError as err:
         log.error("restored from the configured rig file: %s", err)
-        files.write_rig(record, configured)
+        write_rig(files.rig_file(record).path, configured)
     return configured
 
 

@@ -4,7 +4,7 @@ They judge the whole measuring chain with the calibration in use: mean error and
 vertical against the horizontal diameter, which differ when a ball moves too far during the exposure.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from statistics import fmean, stdev
 
 from service.base.schema import ANSWER
@@ -59,14 +59,10 @@ class VerificationParameters:
     """Limit of vertical minus horizontal diameter, either way, mm."""
 
     def __post_init__(self) -> None:
-        for name, low, high in (
-            ("every_h", 0.0, 10_000.0),
-            ("error_mm", 1e-3, 10.0),
-            ("sd_mm", 1e-3, 10.0),
-            ("vertical_minus_horizontal_mm", 1e-3, 10.0),
-        ):
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} must be in {low:g}..{high:g}, not {getattr(self, name):g}")
+        for name, value in asdict(self).items():
+            low, high = (0.0, 10_000.0) if name == "every_h" else (1e-3, 10.0)
+            if not low <= value <= high:
+                raise ValueError(f"{name} must be in {low:g}..{high:g}, not {value:g}")
 
     def problems(self, balls: tuple[VerifiedBall, ...], diameter_mm: float) -> list[str]:
         """Return the figures that exceed their limits, each with the remedy."""

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -49,6 +50,7 @@ class VerificationState(StrEnum):
     """It had a verdict, which counts no more: another ball was dropped, or the wrong diameter entered."""
 
 
+COLLECTING = VerificationState.COLLECTING
 VERDICTS = (VerificationState.PASSED, VerificationState.FAILED)
 
 
@@ -128,7 +130,7 @@ def open_verifications(
         except RecordingError as err:
             log.error("verification %s is not used: %s", path.stem, err)
             continue
-        if verification.state is VerificationState.COLLECTING:
+        if verification.state is COLLECTING:
             verification = _cancelled(verification, "the daemon was restarted")
             write_document(path, verification)
             on_ended(verification)
@@ -160,20 +162,14 @@ class Verifications:
     @property
     def current(self) -> Verification | None:
         """Return the verification that waits for balls, None while there is none."""
-        return next(
-            (each for each in self._known.values() if each.state is VerificationState.COLLECTING), None
-        )
+        return next((each for each in self._known.values() if each.state is COLLECTING), None)
 
     @property
     def collector(self) -> DropCollector | None:
         """Return the collector of the next ball, None while no verification is open."""
-        current = self.current
-        if current is None:
+        if (current := self.current) is None:
             return None
-
-        async def add(drop: ObservedDrop, record: Result, outlines: Path | None) -> None:
-            await self._add(current.id, drop, record)
-
+        add = partial(self._add, current.id)
         return DropCollector(kind=BundleKind.BALL, diameters_mm=(current.diameter_mm,), add=add)
 
     def all(self) -> list[Verification]:
@@ -191,28 +187,25 @@ class Verifications:
 
     def verified(self, calibration_id: str, now: datetime) -> Verified:
         """Return the result of the last verification of a calibration, or that one is overdue."""
-        last = self.last(calibration_id)
-        if last is None:
+        if (last := self.last(calibration_id)) is None:
             return Verified.NEVER
         if last.state is VerificationState.FAILED:
             return Verified.FAILED
-        every_h = self.parameters.every_h
-        is_overdue = every_h > 0 and _age(last, now) > timedelta(hours=every_h)
-        return Verified.OVERDUE if is_overdue else Verified.PASSED
+        every = timedelta(hours=self.parameters.every_h)
+        return Verified.OVERDUE if every and _age(last, now) > every else Verified.PASSED
 
     def trouble(self, calibration_id: str, now: datetime) -> str | None:
         """Return the reason to distrust results of this calibration: it failed, or its verification is overdue."""
-        last = self.last(calibration_id)
+        last, every = self.last(calibration_id), timedelta(hours=self.parameters.every_h)
         match self.verified(calibration_id, now):
             case Verified.FAILED if last is not None:
                 return f"verification {last.id} failed: {'; '.join(last.problems)}"
             case Verified.OVERDUE if last is not None:
-                every = timedelta(hours=self.parameters.every_h)
                 return (
                     f"the last verification was {_in_words(_age(last, now))} ago, and one is due every"
                     f" {_in_words(every)}: start one"
                 )
-            case Verified.NEVER if self.parameters.every_h > 0:
+            case Verified.NEVER if every:
                 return "this calibration was never verified: start a verification and drop the ball"
         return None
 
@@ -226,7 +219,7 @@ class Verifications:
         name = f"{max(map(int, self._known), default=0) + 1:04d}"
         verification = Verification(
             id=name,
-            state=VerificationState.COLLECTING,
+            state=COLLECTING,
             diameter_mm=plan.diameter_mm,
             count=plan.count,
             calibration_id=calibration_id,
@@ -241,8 +234,7 @@ class Verifications:
 
     async def cancel(self, name: str, reason: str) -> Verification | None:
         """Cancel a verification and return it; one that has ended stays as it is. None when there is none."""
-        verification = self._known.get(name)
-        if verification is not None and verification.state is VerificationState.COLLECTING:
+        if (verification := self._known.get(name)) is not None and verification.state is COLLECTING:
             verification = _cancelled(verification, reason)
             await self._keep(verification)
             log.warning("verification cancelled: %s verification=%s", reason, name)
@@ -250,8 +242,7 @@ class Verifications:
 
     async def void(self, name: str, reason: str) -> Verification | None:
         """Declare a verdict void and return the verification, as it is without a verdict; None when there is none."""
-        verification = self._known.get(name)
-        if verification is not None and verification.state in VERDICTS:
+        if (verification := self._known.get(name)) is not None and verification.state in VERDICTS:
             problems = (*verification.problems, f"void: {reason}")
             verification = replace(verification, state=VerificationState.VOID, problems=problems)
             await self._keep(verification)
@@ -260,16 +251,14 @@ class Verifications:
 
     async def cancel_idle(self) -> None:
         """Cancel the open verification when no ball has fallen for `IDLE_S`."""
-        current = self.current
-        if current is not None and time.monotonic() - self._last_ball_s > IDLE_S:
-            await self.cancel(
-                current.id, f"no ball of {current.diameter_mm:g} mm fell for {IDLE_S / 60:.0f} minutes"
-            )
+        if (current := self.current) is not None and time.monotonic() - self._last_ball_s > IDLE_S:
+            reason = f"no ball of {current.diameter_mm:g} mm fell for {IDLE_S / 60:.0f} minutes"
+            await self.cancel(current.id, reason)
 
-    async def _add(self, name: str, drop: ObservedDrop, record: Result) -> None:
+    async def _add(self, name: str, drop: ObservedDrop, record: Result, outlines: Path | None) -> None:
         verification = self._known[name]
         measured_with_it = record.calibration_id == verification.calibration_id
-        if verification.state is not VerificationState.COLLECTING or not measured_with_it:
+        if verification.state is not COLLECTING or not measured_with_it:
             return
         diameter_mm, detail = record.equivalent_diameter_mm, record.detail
         if diameter_mm is not None and (refusal := size_refusal(diameter_mm, verification.diameter_mm)):
@@ -296,7 +285,7 @@ class Verifications:
         self._known[verification.id] = verification
         async with self._writing:  # a ball may arrive during a cancellation
             await asyncio.to_thread(write_document, self._folder / f"{verification.id}.json", verification)
-        if verification.state is not VerificationState.COLLECTING:
+        if verification.state is not COLLECTING:
             self._on_ended(verification)
 
 

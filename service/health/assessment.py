@@ -20,7 +20,9 @@ def assess(
     NE 107: a failed check other than a camera's is *failure*; cameras count as the quality of the results
     they still allow: reduced is *maintenance required*, degraded *out of specification*.
     """
-    checks = _in_order(parts)
+    order = {name: place for place, name in enumerate(load_rules().checks)}
+    by_name = {name: check for part in parts for name, check in part.items()}
+    checks = dict(sorted(by_name.items(), key=lambda item: order[item[0].partition(":")[0]]))
     passing = {name for name, check in checks.items() if check.status is CheckStatus.PASS}
     failing = {name for name, check in checks.items() if check.status is CheckStatus.FAIL}
     cameras = {name for name in checks if name.startswith(f"{CAMERA}:")}
@@ -51,9 +53,3 @@ def assess(
         gate_ne107=gate_ne107(acquisition),
         rig_ne107=rig_ne107,
     )
-
-
-def _in_order(parts: Iterable[Checks]) -> Checks:
-    order = {name: place for place, name in enumerate(load_rules().checks)}
-    checks = {name: check for part in parts for name, check in part.items()}
-    return dict(sorted(checks.items(), key=lambda item: order[item[0].partition(":")[0]]))

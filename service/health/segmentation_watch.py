@@ -33,13 +33,8 @@ class SegmentationWatch:
         problem = "the empty rig was not exposed yet: let no stone fall for a moment"
         if self._plan.model is not None:
             problem += "; until then the network alone finds them"
+        latest = next((trouble for trouble in reversed(self._troubles) if trouble is not None), None)
         return {
             "background": trouble_check(None if has_background else problem, has_background),
-            "segmentation": trouble_check(self.warning),
+            "segmentation": trouble_check("; ".join(filter(None, (self._plan.warning, latest))) or None),
         }
-
-    @property
-    def warning(self) -> str | None:
-        """Why outlines are not found as configured, known from the start or found since; None if they are."""
-        latest = next((trouble for trouble in reversed(self._troubles) if trouble is not None), None)
-        return "; ".join(text for text in (self._plan.warning, latest) if text is not None) or None

@@ -12,7 +12,7 @@ from pipeline.frames import rfc3339
 from service.base.status import HealthCheck
 from service.health.alarms.alarm import ANNOUNCED, Alarm, AlarmState
 from service.health.alarms.machine import MAX_SHELVED_S, AlarmMachine, Change
-from service.health.alarms.rules import Rules, load_rules
+from service.health.alarms.rules import load_rules
 from service.health.alarms.table import keep, unended
 from service.store import Store, audit
 from service.store.event_log import EventLog, Write
@@ -46,11 +46,11 @@ async def open_alarms(store: Store, log: EventLog) -> "Alarms":
 class Alarms:
     """Alarms of the daemon; made by `open_alarms`. Call it on the event loop."""
 
-    def __init__(self, machine: AlarmMachine, log: EventLog, rules: Rules | None = None) -> None:
+    def __init__(self, machine: AlarmMachine, log: EventLog) -> None:
         self._machine = machine
         self._log = log
         self._checks: Mapping[str, HealthCheck] = {}
-        self.rules = rules or load_rules()
+        self.rules = load_rules()
 
     def update(self, checks: Mapping[str, HealthCheck]) -> None:
         """Update the alarms by the present checks of health; to be called often."""
@@ -71,9 +71,7 @@ class Alarms:
         """Acknowledge an alarm and return it, None if it has ended; raise `AlarmConflictError` as the machine does."""
         before = self._machine.find(number)
         change = self._machine.acknowledge(number, who, utc_now())
-        if change is None:
-            return before
-        return await self._noted(change, before, who, "alarm acknowledged")
+        return before if change is None else await self._noted(change, before, who, "alarm acknowledged")
 
     async def shelve(self, number: int, minutes: float, who: str, reason: str) -> Alarm | None:
         """Put an alarm aside for some minutes, and return it; None if there is none that has not ended."""
@@ -113,19 +111,11 @@ class Alarms:
             if noted is not None:
                 noted(connection)
 
-        events = (
-            ()
-            if change.event is None
-            else (NewEvent(type=change.event, subject=alarm.check, data=_data(alarm)),)
-        )
-        self._log.note(*events, write=write)
+        facts = {name: value for name, value in asdict(alarm).items() if name not in ("check", "changed_at")}
+        event = change.event and NewEvent(type=change.event, subject=alarm.check, data=facts)
+        self._log.note(*[event] if event else [], write=write)
 
 
 def _audited(before: Alarm | None, after: Alarm, who: str, action: str) -> Write:
     facts = None if before is None else asdict(before)
     return partial(audit.note, who=who, action=action, subject=after.check, before=facts, after=asdict(after))
-
-
-def _data(alarm: Alarm) -> Mapping[str, Any]:
-    """Return the data of an alarm's event."""
-    return {name: value for name, value in asdict(alarm).items() if name not in ("check", "changed_at")}

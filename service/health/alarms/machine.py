@@ -153,10 +153,9 @@ class AlarmMachine:
 
     def unshelve(self, number: int, now_s: float) -> Alarm | None:
         """Unshelve an alarm with the next `update` and return it; raise `AlarmConflictError` if it is not shelved."""
-        alarm = self.find(number)
-        if alarm is not None and alarm.state is not AlarmState.SHELVED:
-            raise AlarmConflictError(f"alarm {number} is {alarm.state}, not shelved")
-        if alarm is not None:
+        if (alarm := self.find(number)) is not None:
+            if alarm.state is not AlarmState.SHELVED:
+                raise AlarmConflictError(f"alarm {number} is {alarm.state}, not shelved")
             self._shelf_ends_s[alarm.check] = now_s
         return alarm
 
@@ -166,9 +165,7 @@ class AlarmMachine:
 
     def _watch(self, check: str) -> _Watched | None:
         rule = self._rules.of(check)
-        if rule is None:
-            return None
-        return self._watched.setdefault(check, _Watched(rule))
+        return None if rule is None else self._watched.setdefault(check, _Watched(rule))
 
     def _is_suppressed(self, watched: _Watched) -> bool:
         """True when a parent that is at least as urgent is active."""
@@ -250,15 +247,13 @@ def _changed(alarm: Alarm, state: AlarmState, event: EventType | None, at: str, 
 
 def _raised(alarm: Alarm, watched: _Watched, at: str, **more: Any) -> Change:
     """Re-raise as unacknowledged and clear the acknowledgement."""
-    priority = alarm.priority
-    if watched.priority is not None and watched.priority.rank < priority.rank:
-        priority = watched.priority
+    known = [alarm.priority] if watched.priority is None else [alarm.priority, watched.priority]
     return _changed(
         alarm,
         AlarmState.UNACKNOWLEDGED,
         EventType.ALARM_RAISED,
         at,
-        priority=priority,
+        priority=min(known, key=lambda each: each.rank),
         detail=watched.detail or alarm.detail,
         acknowledged_at=None,
         acknowledged_by=None,

@@ -15,30 +15,34 @@ ON_CPU = MeasuredBundle(BY_NETWORK, "GPU failed, the CPU computes")
 CANNOT_RUN = MeasuredBundle(BY_BACKGROUND, "model x: cannot be run: out of memory")
 
 
+def warning_of(watch: SegmentationWatch) -> str | None:
+    return watch.checks(has_background=True)["segmentation"].detail
+
+
 def test_a_network_that_runs_or_is_not_asked_is_no_trouble() -> None:
     watch = SegmentationWatch(PLAN)
     for measured in (RUNS, NOT_ASKED):
         watch.feed(measured)
-    assert watch.warning is None
+    assert warning_of(watch) is None
 
 
 def test_a_provider_that_fails_in_a_run_is_told_until_the_network_runs_again() -> None:
     watch = SegmentationWatch(PLAN)
     watch.feed(ON_CPU)
-    assert watch.warning == ON_CPU.network_trouble
+    assert warning_of(watch) == ON_CPU.network_trouble
     for _ in range(2 * WINDOW):
         watch.feed(NOT_ASKED)
     for _ in range(WINDOW - 1):
         watch.feed(RUNS)
-    assert watch.warning == ON_CPU.network_trouble
+    assert warning_of(watch) == ON_CPU.network_trouble
     watch.feed(RUNS)
-    assert watch.warning is None
+    assert warning_of(watch) is None
 
 
 def test_a_network_that_cannot_be_run_is_told_though_the_background_took_its_place() -> None:
     watch = SegmentationWatch(PLAN)
     watch.feed(CANNOT_RUN)
-    assert watch.warning == CANNOT_RUN.network_trouble
+    assert warning_of(watch) == CANNOT_RUN.network_trouble
 
 
 def test_what_was_known_from_the_start_stays() -> None:
