@@ -9,7 +9,8 @@ import tomli_w
 import typer
 
 from service.base.errors import SettingsError
-from service.configuration.settings import load_settings, problems, shortcomings, warnings
+from service.configuration.rig_checks import rig_warnings
+from service.configuration.settings import load_settings, problems, shortcomings
 
 
 def command(
@@ -30,7 +31,7 @@ def command(
         raise
     document = settings.model_dump(mode="json")
     wrong = [*problems(settings), *shortcomings(settings)]
-    doubtful = list(warnings(settings))
+    doubtful = list(rig_warnings(settings.rig))
     if as_json:
         said = {
             "url": settings.api.local_url,

@@ -25,7 +25,7 @@ from service.base.errors import SettingsError, VolumeModelError
 from service.base.schema import Live
 from service.bundling.parameters import BundlingParameters
 from service.calibration.verification_limits import VerificationParameters
-from service.configuration.rig_checks import rig_problems, rig_warnings
+from service.configuration.rig_checks import rig_problems
 from service.configuration.rig_settings import BACKENDS, RigSettings
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.volume_models import MeasuringSettings
@@ -39,9 +39,9 @@ from service.web.key_file import KEYS, KeyFileError, StoredKey, read_keys
 from service.web.settings import ApiSettings, WithoutKeys
 
 MAX_BYTES = 1_000_000
+"""Largest configuration file."""
 MAX_LINE = 20_000
 """Longest line in characters: a key of many parts takes time by the square of their number."""
-"""Largest configuration file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -205,11 +205,6 @@ def shortcomings(settings: Settings) -> Iterator[str]:
     if trouble is not None:
         yield f"api.keys: {trouble}: no key of this file is accepted; mend it, or remove it and create them anew"
     yield from delivery_shortcomings(settings.webhooks, settings.file_drop)
-
-
-def warnings(settings: Settings) -> Iterator[str]:
-    """Yield the settings that are allowed but rarely meant, each with its field; no reason to refuse the file."""
-    yield from rig_warnings(settings.rig)
 
 
 def _name_of(loc: tuple[int | str, ...]) -> str:

@@ -1,7 +1,7 @@
 """`[measuring]` of the configuration, and files with coefficients of the volume correction ("stonefall-volume/1")."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from drivers.files.bounded import read_bounded
@@ -62,11 +62,5 @@ def read_volume_model(path: Path) -> VolumeModel:
 
 def write_volume_model(path: Path, model: VolumeModel, remarks: dict[str, float | int | str]) -> None:
     """Write the coefficients and how they were found; the file appears when it is complete."""
-    document = {
-        "format": FORMAT,
-        "id": model.id,
-        "gap_share": model.gap_share,
-        "hidden_share": model.hidden_share,
-        **remarks,
-    }
+    document = {"format": FORMAT, **asdict(model), **remarks}
     write_file(path, (json.dumps(document, indent=2) + "\n").encode())

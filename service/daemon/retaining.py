@@ -139,21 +139,18 @@ class Retaining:
         return replace(self._limits, files_days=0, results_days=0, recordings_days=0)
 
 
-class LowThread:
-    """A thread of a low priority for what the disk may take long to do."""
+class LowThread(ThreadPoolExecutor):
+    """A thread of a low priority for what the disk may take long to do; its end is not waited for."""
 
     def __init__(self) -> None:
-        self._executor = ThreadPoolExecutor(1, "retention", _lower_priority)
-
-    def __enter__(self) -> "LowThread":
-        return self
+        super().__init__(1, "retention", _lower_priority)
 
     def __exit__(self, *_: object) -> None:
-        self._executor.shutdown(wait=False, cancel_futures=True)
+        self.shutdown(wait=False, cancel_futures=True)
 
     async def run(self, work: Callable[[*Arguments], T], *args: *Arguments) -> T:
         """Return `work(*args)`."""
-        return await asyncio.get_running_loop().run_in_executor(self._executor, work, *args)
+        return await asyncio.get_running_loop().run_in_executor(self, work, *args)
 
 
 def _lower_priority() -> None:

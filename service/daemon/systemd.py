@@ -88,7 +88,7 @@ class JournalFormatter(logging.Formatter):
         return "\n".join(prefix + line for line in super().format(record).splitlines())
 
 
-def configure_logging(environ: Mapping[str, str], level: int = logging.INFO) -> None:
+def configure_logging(environ: Mapping[str, str]) -> None:
     """Log to stderr: with the time, or with priorities if the journal reads it, which records the time itself."""
     handler = LogLines()
     status = os.fstat(STDERR)
@@ -97,5 +97,5 @@ def configure_logging(environ: Mapping[str, str], level: int = logging.INFO) -> 
         handler.setFormatter(JournalFormatter("%(name)s: %(message)s"))
     else:
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s"))
-    logging.basicConfig(level=level, handlers=[handler], force=True)
+    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     logging.getLogger("uvicorn").setLevel(logging.WARNING)  # the daemon logs its start and end

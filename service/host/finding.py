@@ -27,9 +27,9 @@ class Finding:
 
 def judged(subject: str, *, is_good: bool, found: str, wanted: str, remedy: str) -> Finding:
     """Return a finding that is good, or a fault with its remedy."""
-    if is_good:
-        return good(subject, found, wanted)
-    return fault(subject, found=found, wanted=wanted, remedy=remedy)
+    return (
+        good(subject, found, wanted) if is_good else fault(subject, found=found, wanted=wanted, remedy=remedy)
+    )
 
 
 def good(subject: str, found: str, wanted: str) -> Finding:

@@ -1,21 +1,20 @@
 """Calibrate the rig while the daemon runs, choose which calibration is used, and roll back."""
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Response
 from fastapi.responses import FileResponse
+from pydantic import BaseModel, ConfigDict, Field
 
+from pipeline.calibration.coverage import Coverage
+from pipeline.frames import CameraId
+from service.base.schema import Name, adds_to
 from service.calibration.calibrations import Calibrations
-from service.calibration.files import CalibrationRecord
+from service.calibration.drop_files import ObservedDrop
+from service.calibration.files import Activation, CalibrationRecord
 from service.calibration.plan import CalibrationRequest
-from service.calibration.routes.calibration_schemas import (
-    CalibrationDocument,
-    CalibrationsAnswer,
-    CalibrationSummary,
-    Signature,
-)
 from service.calibration.states import CalibrationAction
 from service.web.auth import OPERABLE, READABLE, Who, require
 from service.web.context import ApiContext, Context
@@ -35,6 +34,49 @@ DONE = {
 """Words of the audit."""
 
 CalibrationName = Annotated[str, Path(pattern=r"^[0-9]{4,9}$", description="`id` of a calibration")]
+
+
+class Signature(BaseModel):
+    """The person who decides."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    by: Name | None = Field(default=None, description="Kept with the decision")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationSummary(CalibrationRecord):
+    """One calibration. It is open until it is accepted, rejected or cancelled; an accepted one is a version."""
+
+    __pydantic_config__ = adds_to(CalibrationRecord)
+
+    is_active: bool
+    """True if stones are measured with it now."""
+
+
+class CalibrationsAnswer(BaseModel):
+    """All calibrations, newest first, and the history of activations."""
+
+    active: Activation = Field(description="The one in use, since when and by whom")
+    items: list[CalibrationSummary] = Field(description="Newest first")
+    activations: list[Activation] = Field(description="All of them, newest first")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationDocument(CalibrationSummary):
+    """One calibration with its drops and its report."""
+
+    __pydantic_config__ = adds_to(CalibrationSummary)
+
+    drops: Sequence[ObservedDrop]
+    """In the order in which they fell."""
+    coverage: Coverage
+    """How well the drops so far cover volume and images."""
+    residuals_before_px: Mapping[CameraId, float]
+    """Per camera, rms over the drops so far, with the calibration in use when they fell, px."""
+    report: Mapping[str, Any] | None
+    """Result of the solution: residuals before and after (px), drops and views left out, centres of the balls (mm),
+    f-number and focus of the lenses (mm) or why they do not show, uncertainty, problems; null before it is solved."""
 
 
 @router.get("", dependencies=READABLE)
@@ -74,7 +116,7 @@ async def calibration(context: Context, calibration: CalibrationName) -> Calibra
         drops=details.drops,
         coverage=details.coverage,
         residuals_before_px=details.residuals_px,
-        report=None if details.report is None else _without_rig(details.report),
+        report=details.report and {name: value for name, value in details.report.items() if name != "rig"},
     )
 
 
@@ -157,7 +199,3 @@ def _facts(context: ApiContext, name: str, action: CalibrationAction) -> dict[st
 def _summary(context: ApiContext, record: CalibrationRecord) -> CalibrationSummary:
     is_active = record.id == context.part(Calibrations).active.id
     return CalibrationSummary(**asdict(record), is_active=is_active)
-
-
-def _without_rig(report: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in report.items() if name != "rig"}

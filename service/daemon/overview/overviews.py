@@ -30,7 +30,7 @@ from service.daemon.overview.overview_documents import (
     camera_in_short,
 )
 from service.daemon.overview.overview_rows import Rows, overview_figures, overview_rows
-from service.health.alarms.alarm import Alarm, AlarmState
+from service.health.alarms.alarm import ANNOUNCED, Alarm, AlarmState
 from service.health.alarms.alarms import Alarms
 from service.health.alarms.rules import Priority
 from service.health.facts import Facts
@@ -185,7 +185,7 @@ def _document(
         disk_days=None if use is None or use.days_left is None else round(use.days_left, 1),
         verification=_verification(calibrations),
         calibration_id=calibrations.rig_file.calibration_id,
-        alarms=_alarms(control.part(Alarms).list().announced),
+        alarms=_alarms(control.part(Alarms).within(*ANNOUNCED)),
         cameras=[camera_in_short(camera) for camera in facts.cameras],
         newest=list(rows.newest),
         last_seq=max(rows_seq, 0),  # as far as the rows reach

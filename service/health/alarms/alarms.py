@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
 from service.base.status import HealthCheck
-from service.health.alarms.alarm import ANNOUNCED, Alarm, AlarmState
+from service.health.alarms.alarm import Alarm, AlarmState
 from service.health.alarms.machine import MAX_SHELVED_S, AlarmMachine, Change
 from service.health.alarms.rules import load_rules
 from service.health.alarms.table import keep, unended
@@ -20,15 +20,6 @@ from service.store.events import NewEvent
 
 WRITTEN_S = 5.0
 """Longest wait of a request for the disk; what was asked for holds all the same, and is written later."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AlarmList:
-    """The alarms that have not ended, the most urgent first."""
-
-    announced: list[Alarm]
-    shelved: list[Alarm]
-    suppressed: list[Alarm]
 
 
 async def open_alarms(store: Store, log: EventLog) -> "Alarms":
@@ -58,14 +49,9 @@ class Alarms:
         for change in self._machine.update(checks, time.monotonic(), utc_now()):
             self._note(change)
 
-    def list(self) -> AlarmList:
-        """Return all alarms that have not ended."""
-        alarms = self._machine.alarms
-        return AlarmList(
-            announced=[alarm for alarm in alarms if alarm.state in ANNOUNCED],
-            shelved=[alarm for alarm in alarms if alarm.state is AlarmState.SHELVED],
-            suppressed=[alarm for alarm in alarms if alarm.state is AlarmState.SUPPRESSED],
-        )
+    def within(self, *states: AlarmState) -> list[Alarm]:
+        """Return the alarms in these states that have not ended, the most urgent first."""
+        return [alarm for alarm in self._machine.alarms if alarm.state in states]
 
     async def acknowledge(self, number: int, who: str) -> Alarm | None:
         """Acknowledge an alarm and return it, None if it has ended; raise `AlarmConflictError` as the machine does."""

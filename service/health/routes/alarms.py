@@ -8,10 +8,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.base.language import Language
 from service.base.schema import adds_to
-from service.health.alarms.alarm import Alarm
+from service.health.alarms.alarm import ANNOUNCED, Alarm, AlarmState
 from service.health.alarms.alarms import Alarms
 from service.health.alarms.machine import MAX_SHELVED_S
-from service.health.alarms.rules import Rule, Rules
+from service.health.alarms.rules import Rules
 from service.health.alarms.table import history
 from service.web.auth import OPERABLE, READABLE, Who
 from service.web.context import Context
@@ -64,11 +64,11 @@ class ShelveRequest(BaseModel):
 @router.get("", response_model=AlarmsDocument, dependencies=READABLE)
 async def alarms(context: Context, language: Words = Language.ENGLISH) -> dict[str, Any]:
     """List the alarms: those that have not ended, each with its cause and what to do."""
-    found, rules = context.part(Alarms).list(), context.part(Alarms).rules
+    known = context.part(Alarms)
+    lists = {"items": ANNOUNCED, "shelved": (AlarmState.SHELVED,), "suppressed": (AlarmState.SUPPRESSED,)}
     return {
-        "items": [_document(alarm, rules, language) for alarm in found.announced],
-        "shelved": [_document(alarm, rules, language) for alarm in found.shelved],
-        "suppressed": [_document(alarm, rules, language) for alarm in found.suppressed],
+        name: [_document(alarm, known.rules, language) for alarm in known.within(*states)]
+        for name, states in lists.items()
     }
 
 
@@ -118,12 +118,11 @@ async def unshelve_alarm(
 
 
 def _found(context: Context, number: int, alarm: Alarm | None, language: Language) -> dict[str, Any]:
-    return _document(
-        existing(alarm, "alarm", f"{number} that has not ended"), context.part(Alarms).rules, language
-    )
+    found = existing(alarm, "alarm", f"{number} that has not ended")
+    return _document(found, context.part(Alarms).rules, language)
 
 
 def _document(alarm: Alarm, rules: Rules, language: Language) -> dict[str, Any]:
-    rule: Rule | None = rules.of(alarm.check)
+    rule = rules.of(alarm.check)
     words = ("", "") if rule is None else (rule.cause[language], rule.action[language])
     return asdict(alarm) | {"cause": words[0], "action": words[1]}

@@ -1,5 +1,6 @@
 """Liveness, readiness for stones, and every check in detail."""
 
+from dataclasses import fields
 from importlib.metadata import version
 from typing import Any, Literal
 
@@ -77,16 +78,11 @@ async def health(context: Context) -> dict[str, Any]:
     """Get the health: every check of cameras, gate, queue, workers, calibration, store, disk and more; always 200."""
     state = context.control.health()
     return {
+        **{each.name: getattr(state, each.name) for each in fields(state)},
         "status": OVERALL_STATUS.get(state.ne107, CheckStatus.WARN),
-        "ne107": state.ne107,
-        "gate_ne107": state.gate_ne107,
-        "rig_ne107": state.rig_ne107,
-        "ready": state.ready,
-        "reasons": state.reasons,
         "version": API_VERSION,
         "release": version("stonefall"),
         "api_version": API_VERSION,
         "algorithm_version": ALGORITHM_VERSION,
         "instance_id": context.store.instance_id,
-        "checks": state.checks,
     }

@@ -23,8 +23,9 @@ from pipeline.particle import PipelineParameters
 from pipeline.rig.design import nominal_rig
 from service.base.errors import SettingsError, VolumeModelError
 from service.commands.cli import build_app
+from service.configuration.rig_checks import rig_warnings
 from service.configuration.rig_settings import AravisRigSettings, CameraPlace
-from service.configuration.settings import Settings, load_settings, problems, shortcomings, warnings
+from service.configuration.settings import Settings, load_settings, problems, shortcomings
 from service.configuration.volume_models import read_volume_model, write_volume_model
 from service.delivery.settings import FileDropSettings, WebhookEndpoint
 from service.web.key_file import KEYS, create_key, revoke_key
@@ -347,12 +348,12 @@ def test_a_live_rig_whose_light_does_not_flash_is_a_warning_and_no_fault(
     write_rig(tmp_path / "rig.json", nominal_rig())
     settings = settings_of(tmp_path, LIVE.replace("[rig]", f"[rig]\n{more}"))
     assert not any("strobe" in each for each in [*problems(settings), *shortcomings(settings)])
-    assert [each.partition(":")[0] for each in warnings(settings)] == ["rig.strobe_line"] * is_warned
+    assert [each.partition(":")[0] for each in rig_warnings(settings.rig)] == ["rig.strobe_line"] * is_warned
 
 
 def test_examples_and_recordings_are_not_warned_of(tmp_path: Path):
     for name in ("demo.toml", "simulated.toml"):
-        assert list(warnings(load_settings(DEPLOY / name))) == []
+        assert list(rig_warnings(load_settings(DEPLOY / name).rig)) == []
 
 
 def test_a_recording_of_a_live_rig_says_how_fast_stones_pass_the_gate(tmp_path: Path):
