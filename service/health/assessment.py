@@ -20,7 +20,8 @@ def assess(
     NE 107: a failed check other than a camera's is *failure*; cameras count as the quality of the results
     they still allow: reduced is *maintenance required*, degraded *out of specification*.
     """
-    order = {name: place for place, name in enumerate(load_rules().checks)}
+    rules = load_rules()
+    order = {name: place for place, name in enumerate(rules.checks)}
     by_name = {name: check for part in parts for name, check in part.items()}
     checks = dict(sorted(by_name.items(), key=lambda item: order[item[0].partition(":")[0]]))
     passing = {name for name, check in checks.items() if check.status is CheckStatus.PASS}
@@ -33,15 +34,16 @@ def assess(
     if not is_armed:
         reasons = (f"acquisition: {acquisition.state}", *reasons)
     usable = len(cameras - failing)
+    words = {word for name, word in rules.ne107.items() if name not in passing}
     if acquisition.state is AcquisitionState.HELD or failing - cameras or usable < views.min:
         ne107 = Ne107.FAILURE
     elif (
         usable < views.reduced
-        or not passing.issuperset(("clock", "background"))
+        or Ne107.OUT_OF_SPECIFICATION in words
         or rig_ne107 is Ne107.OUT_OF_SPECIFICATION
     ):
         ne107 = Ne107.OUT_OF_SPECIFICATION
-    elif not is_armed or "drops" not in passing:
+    elif not is_armed or Ne107.CHECK_FUNCTION in words:
         ne107 = Ne107.CHECK_FUNCTION
     else:
         ne107 = Ne107.MAINTENANCE_REQUIRED if reasons else Ne107.GOOD

@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cache
 from importlib.resources import files
@@ -10,7 +10,7 @@ from importlib.resources import files
 from pydantic import TypeAdapter
 
 from service.base.language import Language
-from service.base.status import CheckStatus
+from service.base.status import CheckStatus, Ne107
 
 CAMERA = "camera"
 """The rule of all checks `camera:ID`."""
@@ -58,6 +58,8 @@ class Rules:
     by_check: Mapping[str, Rule]
     no_alarm: Mapping[str, str]
     checks: tuple[str, ...] = ()
+    ne107: Mapping[str, Ne107] = field(default_factory=dict)
+    """Word of the device while a check does not pass, unless it is in a worse state."""
 
     def of(self, check: str) -> Rule | None:
         """Return the rule of a check, None if it is no alarm."""
@@ -70,6 +72,7 @@ def load_rules() -> Rules:
     document = tomllib.loads(
         files("service.health.alarms").joinpath("alarms.toml").read_text(encoding="utf-8")
     )
+    ne107 = {check: Ne107(rule.pop("ne107")) for check, rule in document.items() if "ne107" in rule}
     no_alarm = {check: rule["no_alarm"] for check, rule in document.items() if "no_alarm" in rule}
     rules = {check: rule for check, rule in document.items() if check not in no_alarm}
-    return Rules(TypeAdapter(dict[str, Rule]).validate_python(rules), no_alarm, tuple(document))
+    return Rules(TypeAdapter(dict[str, Rule]).validate_python(rules), no_alarm, tuple(document), ne107)
