@@ -27,12 +27,10 @@ class SegmentationSettings(SegmentationParameters):
     """The parameters of the pipeline, and which segmenter and model are used."""
 
     segmenter: SegmenterKind = "auto"
-    model: Annotated[str, AfterValidator(_resolve_model)] = (
-        ""  # empty: the built-in one; or the name of a fetched model, or a path
-    )
-    providers: tuple[
-        str, ...
-    ] = ()  # of onnxruntime, the first usable one is taken; default: CUDA if available, else the CPU
+    model: Annotated[str, AfterValidator(_resolve_model)] = ""
+    """The name of a fetched model, or a path; empty: the built-in one."""
+    providers: tuple[str, ...] = ()
+    """Of onnxruntime, the first usable one is taken; default: CUDA if available, else the CPU."""
 
     @property
     def parameters(self) -> SegmentationParameters:

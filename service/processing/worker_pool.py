@@ -82,11 +82,14 @@ class JobLostError(ServiceError):
     `is_hosts`: the host had no descriptor or no room for it, whatever the job was.
     """
 
-    def __init__(self, reason: LossReason, detail: str, *, is_hosts: bool = False) -> None:
-        super().__init__(f"{reason}: {detail}")
+    def __init__(self, reason: LossReason, detail: str, is_hosts: bool = False) -> None:
+        super().__init__(reason, detail, is_hosts)  # the arguments of this class: pickle calls it with them
         self.reason = reason
         self.detail = detail
         self.is_hosts = is_hosts
+
+    def __str__(self) -> str:
+        return f"{self.reason}: {self.detail}"
 
 
 class WorkerPool:

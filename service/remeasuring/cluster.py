@@ -75,17 +75,6 @@ class MeasuredFiles:
     files: dict[str, bytes]
 
 
-@dataclass(frozen=True, slots=True)
-class Failed:
-    """The processes that measured the bundle died, failed or hung, twice."""
-
-    reason: LossReason
-    detail: str
-
-
-Answer = MeasuredFiles | Failed
-
-
 def installed_versions() -> Mapping[str, str]:
     """Return the versions of all that computes here."""
     return {"algorithm": ALGORITHM_VERSION, **{name: version(name) for name in COMPUTES}}
@@ -123,7 +112,7 @@ class Processes(WorkerPlugin):
         """End them: an interpreter that ends waits for its processes, and they ignore signals."""
         self._pool.close()
 
-    async def measure(self, task: ClusterJob) -> Answer:
+    async def measure(self, task: ClusterJob) -> MeasuredFiles:
         """Measure a bundle; raise `ClusterError` if this worker cannot, or not with the same results."""
         trouble = _trouble(self._versions)
         if trouble := trouble or await asyncio.to_thread(_unshared, task, self._digest_of):
@@ -132,8 +121,6 @@ class Processes(WorkerPlugin):
         try:
             measured = await self._pool.run(measure, replace(task.job, out_dir=folder / "out"))
             return MeasuredFiles(measured, await asyncio.to_thread(_files, folder / "out"))
-        except JobLostError as err:
-            return Failed(err.reason, err.detail)
         except WorkerStartError as err:
             raise ClusterError(str(err)) from None
         finally:
@@ -164,7 +151,7 @@ def _unshared(task: ClusterJob, digest_of: Callable[[Path], str]) -> str | None:
     return None
 
 
-async def measure_here(processes: str, task: ClusterJob) -> Answer:
+async def measure_here(processes: str, task: ClusterJob) -> MeasuredFiles:
     """Measure one bundle on this worker, by its processes of this name."""
     worker = get_worker()
     plugin = worker.plugins[processes]
@@ -254,15 +241,13 @@ class ClusterPool:
     async def _measure(self, job: MeasureJob) -> MeasuredBundle:
         task = await asyncio.to_thread(self._task, job)
         try:
-            answer = await self._answer(task)
+            found = await self._submitted(task)
         except ClusterError:
             for path in (task.header.path, *task.digests):
-                path.stat()  # it went meanwhile: `FileNotFoundError`
+                await asyncio.to_thread(path.stat)  # it went meanwhile: `FileNotFoundError`
             raise
-        if isinstance(answer, Failed):
-            raise JobLostError(answer.reason, answer.detail)
-        await asyncio.to_thread(_write, job.out_dir, answer.files)
-        return answer.measured
+        await asyncio.to_thread(_write, job.out_dir, found.files)
+        return found.measured
 
     def _task(self, job: MeasureJob) -> ClusterJob:
         rig_path, background = job.rig_file.path.absolute(), job.background_path
@@ -276,16 +261,16 @@ class ClusterPool:
         digests = {path: self._digest_of(path) for path in needed}
         return ClusterJob(job=job, header=read_header(job.bundle_path), digests=digests)
 
-    async def _answer(self, task: ClusterJob) -> Answer:
+    async def _submitted(self, task: ClusterJob) -> MeasuredFiles:
         key = f"stonefall-{task.header.name}-{uuid4().hex}"
         future = self._client.submit(measure_here, self._processes, task, key=key, pure=False)
         try:
-            return cast(Answer, await future)
-        except (ClusterError, RecordingError):
+            return cast(MeasuredFiles, await future)
+        except (ClusterError, JobLostError, RecordingError):
             raise
         except KilledWorker as err:
-            n_died = err.allowed_failures + 1
-            return Failed(LossReason.WORKER_CRASH, f"{n_died} workers of the cluster died over it")
+            detail = f"{err.allowed_failures + 1} workers of the cluster died over it"
+            raise JobLostError(LossReason.WORKER_CRASH, detail) from None
         except CancelledError as err:
             raise ClusterError(f"the scheduler is gone, or has given a bundle up: {err}") from None
         except Exception as err:  # whatever a worker raised, such as another version's error

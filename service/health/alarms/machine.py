@@ -187,7 +187,17 @@ class AlarmMachine:
         if alarm is None:
             if not is_active or priority is None:
                 return None
-            return self._new(name, watched, priority, at, is_suppressed=is_suppressed)
+            alarm = Alarm(
+                id=self._next_id,
+                check=name,
+                state=AlarmState.SUPPRESSED if is_suppressed else AlarmState.UNACKNOWLEDGED,
+                priority=priority,
+                detail=watched.detail,
+                raised_at=at,
+                changed_at=at,
+            )
+            self._next_id += 1
+            return Change(alarm, None if is_suppressed else EventType.ALARM_RAISED)
         match alarm.state:
             case AlarmState.UNACKNOWLEDGED | AlarmState.ACKNOWLEDGED if is_suppressed:
                 return _changed(alarm, AlarmState.SUPPRESSED, EventType.ALARM_CLEARED, at)
@@ -214,21 +224,6 @@ class AlarmMachine:
                     return _changed(alarm, AlarmState.SUPPRESSED, EventType.ALARM_CLEARED, at)
                 return _raised(alarm, watched, at)
         return None
-
-    def _new(
-        self, name: str, watched: _Watched, priority: Priority, at: str, *, is_suppressed: bool
-    ) -> Change:
-        alarm = Alarm(
-            id=self._next_id,
-            check=name,
-            state=AlarmState.SUPPRESSED if is_suppressed else AlarmState.UNACKNOWLEDGED,
-            priority=priority,
-            detail=watched.detail,
-            raised_at=at,
-            changed_at=at,
-        )
-        self._next_id += 1
-        return Change(alarm, None if is_suppressed else EventType.ALARM_RAISED)
 
     def _keep(self, change: Change) -> Change:
         alarm = change.alarm
