@@ -17,17 +17,16 @@ export class Unreachable extends Error {}
 export const get = (path) => ask("GET", path).then(json);
 
 /** Return the text at `path`, such as a drawing. */
-export const getText = (path) => ask("GET", path).then((response) => response.text());
+export const getText = (path) => ask("GET", path).then((response) => response.text().catch(lost));
 
 /** Post `body`; one that the network lost is sent again under the same key, and so done once. */
-export async function post(path, body = null) {
+export function post(path, body = null) {
   const headers = { "Idempotency-Key": newKey() };
-  try {
-    return await ask("POST", path, body, headers).then(json);
-  } catch (error) {
+  const send = () => ask("POST", path, body, headers).then(json);
+  return send().catch((error) => {
     if (error instanceof Problem) throw error;
-    return ask("POST", path, body, headers).then(json);
-  }
+    return send();
+  });
 }
 
 /** Put `body` in the place of what is there. */
@@ -36,25 +35,24 @@ export const put = (path, body) => ask("PUT", path, body).then(json);
 /** Delete what is at `path`. */
 export const remove = (path) => ask("DELETE", path).then(json);
 
-/** Return who asks, and with which scopes. */
-export const session = () => get("/session");
-
 async function ask(method, path, body = null, headers = {}) {
   const hasBody = body !== null;
   const response = await fetch(BASE + path, {
     method,
     headers: { Accept: "application/json, image/svg+xml", ...(hasBody && { "Content-Type": "application/json" }), ...headers },
     body: hasBody ? JSON.stringify(body) : undefined,
-  }).catch((error) => {
-    throw new Unreachable(error.message);
-  });
+  }).catch(lost);
   if (response.ok) return response;
   const fields = await response.json().catch(() => ({ title: response.statusText }));
   if (response.status === 401) window.dispatchEvent(new CustomEvent("sign-in-needed"));
   throw new Problem({ status: response.status, ...fields });
 }
 
-const json = (response) => (response.status === 204 ? null : response.json());
+const json = (response) => (response.status === 204 ? null : response.json().catch(lost));
+
+function lost(error) {
+  throw new Unreachable(error.message);
+}
 
 /** Return a random key; `crypto.randomUUID` is missing on pages that come without TLS from another machine. */
 const newKey = () => Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");

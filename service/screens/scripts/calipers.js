@@ -1,10 +1,5 @@
 /** The gauges that a stone was measured with, drawn where they touch it; lengths in mm, z up. */
 
-/** Dimensions between two parallel jaws. */
-export const CALIPERS = ["length", "width", "thickness", "max_feret", "min_feret"];
-/** All gauges of a stone. */
-export const GAUGES = [...CALIPERS, "sieve"];
-
 /** To which side of the body the beam of each caliper lies, so that they do not meet: an axis and its sign. */
 const SIDES = { length: ["width", 1], width: ["thickness", 1], thickness: ["width", -1], max_feret: ["thickness", -1], min_feret: ["length", 1] };
 const GAP = 0.12;
@@ -12,17 +7,13 @@ const BAR_RADIUS = 0.009;
 const TOUCH_RADIUS = 0.032;
 
 /**
- * Return the gauges as objects by name, each with the place of its label.
- *
- * @param three the module
- * @param document what `/particles/{id}/calipers` returned
- * @param {Float32Array} vertices the body's, three numbers each
- * @param {(name: string) => string} colour of a gauge, as CSS
+ * Return the gauges as objects of `three` by name, each with the place of its label; `document` is what
+ * `/particles/{id}/calipers` returned, `vertices` has three numbers for each of the body's, `colour` returns that of a gauge.
  */
 export function gauges(three, document, vertices, colour) {
   const size = document.length.value_mm / 2;
   const drawn = new Map();
-  for (const name of CALIPERS) {
+  for (const name of Object.keys(SIDES)) {
     if (document[name]) drawn.set(name, new Gauge(three, size, colour(name)).caliper(document, name, vertices));
   }
   if (document.sieve) drawn.set("sieve", new Gauge(three, size, colour("sieve")).square(document.sieve));

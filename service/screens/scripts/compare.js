@@ -1,49 +1,46 @@
 /** Two lots, or one lot as two versions of the algorithm measured it: both curves in one drawing, and what differs. */
 
 import { get, getText } from "./api.js";
-import { digits } from "./curve_steps.js";
-import { byId, element, setText, show, svgFromServer } from "./dom.js";
-import { mountHeader } from "./header.js";
-import { hasWord, language, loadWords, number, word } from "./words.js";
+import { latestOnly } from "./asking.js";
+import { byId, figureCell, html, rowHead, setText, show, svgFromServer, table } from "./dom.js";
+import { showProblem, startPage } from "./header.js";
+import { language, number, sieve, word, wordOr } from "./words.js";
 
 const SIDES = ["a", "b"];
 
-await loadWords();
-mountHeader("/compare");
+await startPage();
 document.title = `${word("compare.title")} – stonefall`;
 
-let generation = 0; // of what is asked for; an answer to what was asked before is not shown
+const latest = latestOnly();
 const form = byId("choice");
+const chosen = () => new URLSearchParams([...new FormData(form)].filter(([, value]) => value !== ""));
 const { items: lots } = await get("/lots").catch(() => ({ items: [] }));
 form.addEventListener("submit", (event) => event.preventDefault());
-form.addEventListener("change", async ({ target }) => {
+form.addEventListener("change", ({ target }) => {
   if (SIDES.includes(target.name)) form.elements[`${target.name}_algorithm_version`].value = "";
   history.pushState(null, "", `${location.pathname}?${chosen()}`);
-  await render(chosen());
+  render(chosen()).catch(showProblem);
 });
-window.addEventListener("popstate", () => render(new URLSearchParams(location.search)));
-await render(new URLSearchParams(location.search));
-
-function chosen() {
-  return new URLSearchParams([...new FormData(form)].filter(([, value]) => value !== ""));
-}
+const renderAddress = () => render(new URLSearchParams(location.search)).catch(showProblem);
+window.addEventListener("popstate", renderAddress);
+renderAddress();
 
 async function render(asked) {
-  const mine = ++generation;
   setText(byId("problem"), "");
-  try {
-    for (const side of SIDES) await fillSide(side, asked);
-    const query = chosen();
-    const isWhole = SIDES.every((side) => query.has(side));
-    if (mine === generation) byId("both").hidden = !isWhole;
-    if (!isWhole) return;
-    const [comparison, svg] = await Promise.all([get(`/comparisons/lots?${query}`), getText(curveAddress(query))]);
-    if (mine !== generation) return;
-    show(byId("curves"), svgFromServer(svg));
-    showTable(comparison);
-  } catch (error) {
-    if (mine === generation) setText(byId("problem"), error.message);
-  }
+  const found = await latest(compared(asked));
+  byId("both").hidden = found === null;
+  if (found === null) return;
+  const [comparison, drawing] = found;
+  show(byId("curves"), svgFromServer(drawing));
+  showTable(comparison);
+}
+
+/** Return the comparison and its drawing, null while a side is not chosen. */
+async function compared(asked) {
+  for (const side of SIDES) await fillSide(side, asked);
+  const query = chosen();
+  if (!SIDES.every((side) => query.has(side))) return null;
+  return Promise.all([get(`/comparisons/lots?${query}`), getText(curveAddress(query))]);
 }
 
 /** Fill the choices of one side: all lots, and the versions that measured stones of the one chosen. */
@@ -59,7 +56,7 @@ async function fillSide(side, asked) {
 }
 
 function fill(select, none, options, value) {
-  show(select, ...[["", none], ...options].map(([each, text]) => element("option", { value: each }, text)));
+  show(select, [["", none], ...options].map(([each, text]) => html.option({ value: each }, text)));
   select.value = value;
 }
 
@@ -69,17 +66,9 @@ function curveAddress(query) {
 }
 
 function showTable({ a, b, is_paired: isPaired, figures }) {
-  const heads = [sideName(a), sideName(b), word("compare.difference")];
-  show(
-    byId("figures"),
-    element(
-      "table",
-      {},
-      element("thead", {}, element("tr", {}, element("td", {}), ...heads.map((head) => element("th", { scope: "col", class: "number" }, head)))),
-      element("tbody", {}, ...figures.filter(({ a: first, b: second }) => first.value !== null || second.value !== null).map(row)),
-    ),
-    element("p", { class: "note" }, word(isPaired ? "compare.paired" : "compare.unpaired")),
-  );
+  const rows = figures.filter(({ a: first, b: second }) => first.value !== null || second.value !== null).map(row);
+  const heads = [html.td(), sideName(a), sideName(b), word("compare.difference")];
+  show(byId("figures"), table({}, heads, rows, [1, 2, 3]), html.p({ class: "note" }, word(isPaired ? "compare.paired" : "compare.unpaired")));
 }
 
 function sideName({ lot, algorithm_version: version, measured }) {
@@ -89,29 +78,18 @@ function sideName({ lot, algorithm_version: version, measured }) {
 function row({ figure, a, b, difference, low, high, is_significant: isSignificant }) {
   const [unit, places] = figure.endsWith("_percent") ? ["%", 1] : figure.endsWith("_mm") ? ["mm", 2] : ["", 2];
   const sign = difference > 0 ? "+" : "";
-  return element(
-    "tr",
-    { "data-figure": figure },
-    element("th", { scope: "row" }, figureName(figure)),
-    ...[a, b].map(({ value, low: from, high: to }) => cell(value, from, to, unit, places)),
-    cell(difference, low, high, unit, places, sign, isSignificant),
-  );
+  const sides = [a, b].map(({ value, low: from, high: to }) => cell(value, from, to, unit, places));
+  return [rowHead(figureName(figure)), ...sides, cell(difference, low, high, unit, places, sign, isSignificant)];
 }
 
-function cell(value, low, high, unit, places, sign = "", isSignificant = false) {
-  return element(
-    "td",
-    { class: isSignificant ? "number changed" : "number" },
-    value === null ? "–" : `${sign}${number(value, places)} ${unit}`,
-    low === null ? null : element("div", { class: "weak interval" }, word("compare.interval", { low: number(low, places), high: number(high, places) })),
-    isSignificant ? element("div", {}, word("compare.significant")) : null,
-  );
+function cell(value, low, high, unit, digits, sign = "", isSignificant = false) {
+  const interval = low !== null && word("compare.interval", { low: number(low, digits), high: number(high, digits) });
+  return figureCell(value === null ? "–" : `${sign}${number(value, digits)} ${unit}`, interval, isSignificant, isSignificant && html.div(word("compare.significant")));
 }
 
 function figureName(figure) {
-  const [, sieve] = figure.match(/^passing_(.+)_mm_percent$/) ?? [];
-  if (sieve) return word("gallery.passing", { sieve: number(Number(sieve), digits(Number(sieve))) });
+  const [, sieveMm] = figure.match(/^passing_(.+)_mm_percent$/) ?? [];
+  if (sieveMm) return word("gallery.passing", { sieve: sieve(Number(sieveMm)) });
   const [, quantile] = figure.match(/^d(\d+)_mm$/) ?? [];
-  if (quantile && !hasWord(`compare.figure-${figure}`)) return `D${quantile}`;
-  return hasWord(`compare.figure-${figure}`) ? word(`compare.figure-${figure}`) : figure;
+  return wordOr(`compare.figure-${figure}`, quantile ? `D${quantile}` : figure);
 }

@@ -1,13 +1,13 @@
 /** The gallery: stones by filter, and those behind a step of a lot's curve; the address says what is shown. */
 
 import { get, getText } from "./api.js";
-import { digits, showSteps } from "./curve_steps.js";
-import { byId, element, setText, show } from "./dom.js";
-import { mountHeader } from "./header.js";
+import { latestOnly } from "./asking.js";
+import { byId, html, setText, show } from "./dom.js";
+import { showProblem, startPage } from "./header.js";
+import { showFigures, showSteps } from "./lot_figures.js";
 import { COVERAGE } from "./measures.js";
 import { markOut, tile } from "./tiles.js";
-import { language, loadWords, number, word } from "./words.js";
-import { showFigures } from "./what_if.js";
+import { language, number, sieve, word } from "./words.js";
 
 const PAGE = 60;
 const FIELDS = "captured_at,sieve_size_mm,quality,volume_sd_percent,zingg_class,reason";
@@ -15,15 +15,16 @@ const TIMES = ["since", "until"];
 /** What is an unfavourable shape, as the parameter of REST. */
 const SHAPES = { flaky: ["is_flaky", true], "not-flaky": ["is_flaky", false], "non-cubical": ["is_non_cubical", true], cubical: ["is_non_cubical", false] };
 
-await loadWords();
-mountHeader("/gallery");
+/** Return whether stones are those of a step of the curve, or the heaviest: other filters than the lot do not hold then. */
+const isOfLot = () => asked.has("lot") && (asked.has("sieve") || asked.has("order"));
+const lotPath = () => `/lots/${encodeURIComponent(asked.get("lot"))}`;
+
+await startPage();
 document.title = `${word("gallery.title")} – stonefall`;
 
 let asked = new URLSearchParams(location.search);
-let listed = null;
-let generation = 0; // of the lot's figures; what comes too late is not shown
-let listGeneration = 0;
-let cursor = null;
+let listed = null, cursor = null; // what is listed, and where the next page of it begins
+const latestFigures = latestOnly(), latestStones = latestOnly();
 const form = byId("filters");
 await fillChoices();
 form.addEventListener("change", () => go(fromForm()));
@@ -45,19 +46,16 @@ window.addEventListener("popstate", () => {
 render();
 
 async function fillChoices() {
-  const options = (place, values, name) => show(byId(place), option("", word("gallery.any")), ...values.map((value) => option(value, name(value))));
+  const option = (value, text) => html.option({ value }, text);
+  const options = (place, values, name) => show(byId(place), option("", word("gallery.any")), values.map((value) => option(value, name(value))));
   options("zingg-class", ["equant", "disc", "rod", "blade"], (value) => word(`stone.zingg-${value}`));
   options("shape", Object.keys(SHAPES), (value) => word(`gallery.shape-${value}`));
   options("quality", ["good", "reduced", "degraded"], (value) => word(`stone.quality-${value}`));
-  show(byId("outcome"), ...["measured", "rejected", "lost"].map((value) => option(value, word(`stone.outcome-${value}`))));
+  show(byId("outcome"), ["measured", "rejected", "lost"].map((value) => option(value, word(`stone.outcome-${value}`))));
   const { items } = await get("/lots").catch(() => ({ items: [] }));
   options("lot", items.map(({ lot }) => lot), (lot) => lot);
   const lot = asked.get("lot");
   if (lot && !items.some((each) => each.lot === lot)) byId("lot").append(option(lot, lot)); // an old one, beyond the page of lots
-}
-
-function option(value, text) {
-  return element("option", { value }, text);
 }
 
 /** Return what the form asks for; another lot has another curve, so nothing of the old one is chosen. */
@@ -84,17 +82,15 @@ function changed(name, value, isOn) {
 }
 
 function render() {
-  generation += 1;
   for (const field of form.elements) if (field.name) field.value = asked.get(field.name) ?? (field.name === "outcome" ? "measured" : "");
   byId("conditions").hidden = isOfLot();
   byId("heaviest").setAttribute("aria-pressed", String(asked.has("order")));
   setText(byId("problem"), "");
-  showLot(generation);
+  showLot().catch(showProblem);
   const list = new URLSearchParams(asked);
   list.delete("without");
   if (listed === String(list)) return markOut(byId("tiles"), asked.getAll("without"));
   listed = String(list);
-  listGeneration += 1;
   byId("more").hidden = true;
   cursor = null;
   byId("tiles").replaceChildren();
@@ -102,36 +98,23 @@ function render() {
   showMore();
 }
 
-/** Return whether stones are those of a step of the curve, or the heaviest: other filters than the lot do not hold then. */
-function isOfLot() {
-  return asked.has("lot") && (asked.has("sieve") || asked.has("order"));
-}
-
-function lotPath() {
-  return `/lots/${encodeURIComponent(asked.get("lot"))}`;
-}
-
-async function showLot(shown) {
+async function showLot() {
   const lot = asked.get("lot");
-  byId("lot-figures").hidden = lot === null;
-  if (lot === null) return;
   const sieveMm = asked.has("sieve") ? Number(asked.get("sieve")) : null;
   const out = asked.getAll("without");
   const without = new URLSearchParams(out.map((id) => ["without", id]));
-  try {
-    const [all, fewer, svg] = await Promise.all([
-      get(`${lotPath()}/gradation`),
-      out.length === 0 ? null : get(`${lotPath()}/gradation?${without}`),
-      getText(`${lotPath()}/curve.svg?${new URLSearchParams([["language", language()], ...without])}`),
-    ]);
-    if (shown !== generation) return;
-    setText(byId("curve-heading"), word("gallery.curve", { lot, product: all.product?.title ?? "" }));
-    showSteps(byId("curve"), svg, fewer ?? all, sieveMm, (chosenMm) => go(withChoice("sieve", chosenMm === sieveMm ? null : chosenMm)));
-    showFigures(byId("figures"), all, fewer, sieveMm);
-    if (out.length > 0) byId("figures").append(takenOut(out));
-  } catch (error) {
-    if (shown === generation) setText(byId("problem"), error.message);
-  }
+  byId("lot-figures").hidden = lot === null;
+  const found = await latestFigures(lot && Promise.all([
+    get(`${lotPath()}/gradation`),
+    out.length === 0 ? null : get(`${lotPath()}/gradation?${without}`),
+    getText(`${lotPath()}/curve.svg?${new URLSearchParams([["language", language()], ...without])}`),
+  ]));
+  if (found === null) return;
+  const [all, fewer, drawing] = found;
+  setText(byId("curve-heading"), word("gallery.curve", { lot, product: all.product?.title ?? "" }));
+  showSteps(byId("curve"), drawing, fewer ?? all, sieveMm, (chosenMm) => go(withChoice("sieve", chosenMm === sieveMm ? null : chosenMm)));
+  showFigures(byId("figures"), all, fewer, sieveMm);
+  if (out.length > 0) byId("figures").append(takenOut(out));
 }
 
 /** Return what is asked for with one of two ways to choose among the stones of a lot, or none of them. */
@@ -143,50 +126,43 @@ function withChoice(name, value) {
 }
 
 function takenOut(ids) {
-  return element(
-    "div",
-    { class: "actions" },
-    ...ids.map((id) => element("button", { type: "button", onclick: () => go(changed("without", id, false)) }, word("gallery.put-back-one", { number: Number(id.split("-")[1]) }))),
-  );
+  const putBack = (id) => html.button({ type: "button", onclick: () => go(changed("without", id, false)) }, word("gallery.put-back-one", { number: Number(id.split("-")[1]) }));
+  return html.div({ class: "actions" }, ids.map(putBack));
 }
 
 /** Show the next page; at its end the button for one more, which presses itself when it comes into sight. */
 async function showMore() {
   const more = byId("more");
-  const shown = listGeneration;
   more.disabled = true;
   try {
-    const { items, title } = isOfLot() ? await stonesOfLot() : await stonesOfPage();
-    if (shown !== listGeneration) return;
+    const { items, next, title } = await latestStones(isOfLot() ? stonesOfLot() : stonesOfPage());
+    cursor = next;
     byId("tiles").append(...items.map(tileOf));
     markOut(byId("tiles"), asked.getAll("without"));
     setText(byId("list-heading"), title);
-    showStep();
+    show(byId("step"), isOfLot() && html.button({ type: "button", onclick: () => go(withChoice("sieve", null)) }, word("gallery.all-steps")));
     more.hidden = cursor === null;
     nearEnd.unobserve(more);
     nearEnd.observe(more); // says once more whether the end is still in sight
   } catch (error) {
-    if (shown === listGeneration) setText(byId("problem"), error.message);
-  } finally {
-    if (shown === listGeneration) more.disabled = false;
+    showProblem(error);
   }
+  more.disabled = false;
 }
 
 async function stonesOfLot() {
   const query = asked.has("sieve") ? `sieve=${asked.get("sieve")}&limit=1000` : `limit=${PAGE}`;
   const { items, above_mm: aboveMm, up_to_mm: upToMm } = await get(`${lotPath()}/particles?${query}`);
-  cursor = null;
-  if (upToMm === null) return { items, title: word("gallery.heaviest-of", { n: number(items.length) }) };
-  const size = (sizeMm) => number(sizeMm, digits(sizeMm));
-  return { items, title: word("gallery.stones-of-step", { n: number(items.length), below: size(aboveMm), sieve: size(upToMm) }) };
+  const n = number(items.length);
+  const title = upToMm === null ? word("gallery.heaviest-of", { n }) : word("gallery.stones-of-step", { n, below: sieve(aboveMm), sieve: sieve(upToMm) });
+  return { items, next: null, title };
 }
 
 async function stonesOfPage() {
-  const page = await get(`/particles?${forRest()}`);
-  cursor = page.next_cursor;
-  const n = byId("tiles").childElementCount + page.items.length;
-  const title = n === 0 ? word("gallery.none") : word(cursor === null ? "gallery.stones" : "gallery.stones-so-far", { n: number(n) });
-  return { items: page.items, title };
+  const { items, next_cursor: next } = await get(`/particles?${forRest()}`);
+  const n = byId("tiles").childElementCount + items.length;
+  const title = n === 0 ? word("gallery.none") : word(next === null ? "gallery.stones" : "gallery.stones-so-far", { n: number(n) });
+  return { items, next, title };
 }
 
 /** Return the query of REST for what is asked for. */
@@ -205,8 +181,4 @@ function forRest() {
 function tileOf(stone) {
   const toggle = () => go(changed("without", stone.id, !asked.getAll("without").includes(stone.id)));
   return tile(stone, asked.has("lot") && stone.sieve_size_mm !== null ? toggle : null);
-}
-
-function showStep() {
-  show(byId("step"), !isOfLot() ? null : element("button", { type: "button", onclick: () => go(withChoice("sieve", null)) }, word("gallery.all-steps")));
 }

@@ -8,12 +8,10 @@ const PROBE_TIMEOUT_MS = 5000;
 const RETRY_MS = 3000;
 
 /**
- * Call `onOverview` with each overview, for as long as the page is there.
- *
- * `onSilence` is called with the time since when nothing is heard, and with null once something is heard again.
- * @param {{onOverview: (overview: object) => void, onSilence?: (since: Date | null) => void}} listeners
+ * Call `onOverview` with each overview, for as long as the page is there, and `onSilence` with the time since when
+ * nothing is heard, then with null once something is heard again.
  */
-export function follow({ onOverview, onSilence = () => {} }) {
+export function follow({ onOverview, onSilence }) {
   let source, heardAt = new Date(), isSilent = false;
 
   function heard() {

@@ -1,7 +1,7 @@
 /** The numbers of a stone: in the laboratory's words, with unit, uncertainty and standard. */
 
-import { element } from "./dom.js";
-import { hasWord, number, word } from "./words.js";
+import { html, table } from "./dom.js";
+import { number, quantity, word, wordOr } from "./words.js";
 
 /** Expanded uncertainty by standard deviation: k of the GUM, for about 95 %. */
 export const COVERAGE = 2;
@@ -36,27 +36,19 @@ const MEASURES = [
 
 /** Return the table of a stone's numbers; `schema`, of `Result` in the interface's description, explains them. */
 export function measuresTable(stone, schema = {}) {
-  const heads = ["measure", "value", "uncertainty", "standard"].map((key) =>
-    element("th", { scope: "col", class: key === "value" || key === "uncertainty" ? "number" : null }, word(`passport.column-${key}`)));
-  return element(
-    "table",
-    { class: "measures" },
-    element("thead", {}, element("tr", {}, ...heads, element("th", { scope: "col", class: "only-print" }, word("passport.column-by-hand")))),
-    element("tbody", {}, ...MEASURES.map((measure) => row(measure, stone, schema))),
-  );
+  const heads = ["measure", "value", "uncertainty", "standard"].map((key) => word(`passport.column-${key}`));
+  const byHand = html.th({ scope: "col", class: "only-print" }, word("passport.column-by-hand"));
+  return table({ class: "measures" }, [...heads, byHand], MEASURES.map((measure) => row(measure, stone, schema)), [1, 2]);
 }
 
 function row({ name, unit = "", digits, uncertainty, isByHand = false, value = (stone) => stone[name], text }, stone, schema) {
-  const shown = text ? (text(stone) ?? "–") : number(value(stone), digits);
   const expanded = uncertainty?.(stone);
-  const standard = `passport.standard-${name}`;
-  return element(
-    "tr",
-    { "data-measure": name },
-    element("th", { scope: "row", title: schema.properties?.[name]?.description }, word(`passport.measure-${name}`)),
-    element("td", { class: "number" }, shown, unit && shown !== "–" ? ` ${unit}` : ""),
-    element("td", { class: "number" }, expanded ? `± ${number(expanded, digits)}` : ""),
-    element("td", { class: "standard" }, hasWord(standard) ? word(standard) : ""),
-    element("td", { class: isByHand ? "only-print box" : "only-print" }),
-  );
+  const cells = [
+    html.th({ scope: "row", title: schema.properties?.[name]?.description }, word(`passport.measure-${name}`)),
+    text ? (text(stone) ?? "–") : quantity(value(stone), digits, unit),
+    expanded ? `± ${number(expanded, digits)}` : "",
+    html.td({ class: "standard" }, wordOr(`passport.standard-${name}`, "")),
+    html.td({ class: isByHand ? "only-print box" : "only-print" }),
+  ];
+  return { cells, "data-measure": name };
 }

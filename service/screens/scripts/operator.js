@@ -1,6 +1,6 @@
 /** The operator's page: one stream of the rig's state, and what each part of the page makes of it. */
 
-import { mountHeader, hideBanner, showBanner, showOrigin } from "./header.js";
+import { showBanner, showOrigin, startPage } from "./header.js";
 import { follow } from "./live.js";
 import { showAlarms } from "./operator/alarms.js";
 import { showCameras } from "./operator/cameras.js";
@@ -9,18 +9,16 @@ import { showFacts } from "./operator/facts.js";
 import { showLot, showState, showVerdict } from "./operator/state.js";
 import { showStones } from "./operator/stones.js";
 import { mountTrends, showTiles } from "./operator/trends.js";
-import { loadWords, time, word } from "./words.js";
+import { time, word } from "./words.js";
 
 const PARTS = [showOrigin, showState, showLot, showVerdict, showCurve, showTiles, showAlarms, showStones, showCameras, showFacts];
 
-await loadWords();
-mountHeader("/");
+await startPage();
 mountTrends();
 follow({
   onOverview: (overview) => PARTS.forEach((show) => show(overview)),
   onSilence(since) {
     document.body.classList.toggle("stale", since !== null);
-    if (since === null) hideBanner("connection");
-    else showBanner("connection", word("operator.no-connection", { since: time(since) }));
+    showBanner("connection", since && word("operator.no-connection", { since: time(since) }));
   },
 });

@@ -1,22 +1,18 @@
 /** The page that exchanges the token of a key for a session of this browser. */
 
 import { post } from "./api.js";
-import { byId, setText } from "./dom.js";
-import { mountHeader } from "./header.js";
-import { loadWords, word } from "./words.js";
+import { byId } from "./dom.js";
+import { onSubmit } from "./forms.js";
+import { startPage } from "./header.js";
+import { word } from "./words.js";
 
-await loadWords();
-mountHeader("/sign-in");
-byId("form").addEventListener("submit", async (event) => {
-  event.preventDefault(); // the token goes into no address
-  setText(byId("problem"), "");
-  try {
-    await post("/session", { token: byId("token").value.trim() });
-    location.assign(nextAddress());
-  } catch (error) {
-    setText(byId("problem"), error.status === 401 ? word("sign-in.wrong") : error.message);
-  }
-});
+await startPage();
+const refused = ({ status, message }) => (status === 401 ? word("sign-in.wrong") : message);
+const signIn = async ({ token }) => { // it goes into no address
+  await post("/session", { token: token.trim() });
+  location.assign(nextAddress());
+};
+onSubmit(byId("form"), signIn, byId("problem"), refused);
 byId("token").focus();
 
 /** Return the page to go on to: one of this host alone, whatever the address says. */

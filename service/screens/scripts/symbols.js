@@ -1,6 +1,6 @@
 /** States, verdicts and priorities as shape, letter and colour: no meaning is in a colour alone. */
 
-import { svgElement } from "./dom.js";
+import { html, svg } from "./dom.js";
 import { word } from "./words.js";
 
 const CHECK = "M6.5 12.5l4 4 7-8";
@@ -13,17 +13,15 @@ const SHAPES = {
 };
 const LETTER_Y = { check_function: 13.5, out_of_specification: 18.5 };
 
-/** Return the symbol of a state, hidden from screen readers: the word stands beside it. */
+/** Return a symbol, hidden from screen readers: its word stands beside it. */
+const symbol = (meaning, ...shapes) => svg.svg({ viewBox: "0 0 24 24", class: "symbol", ...meaning, "aria-hidden": "true" }, shapes);
+const mark = (d) => svg.path({ class: "mark", d });
+
+/** Return the symbol of a state. */
 export function ne107Symbol(ne107) {
   const [tag, attributes, letter] = SHAPES[ne107];
-  return svgElement(
-    "svg",
-    { viewBox: "0 0 24 24", class: "symbol", "data-ne107": ne107, "aria-hidden": "true" },
-    svgElement(tag, attributes),
-    letter === ""
-      ? svgElement("path", { class: "mark", d: CHECK })
-      : svgElement("text", { x: 12, y: LETTER_Y[ne107] ?? 16.5, "text-anchor": "middle" }, letter),
-  );
+  const text = () => svg.text({ x: 12, y: LETTER_Y[ne107] ?? 16.5, "text-anchor": "middle" }, letter);
+  return symbol({ "data-ne107": ne107 }, svg[tag](attributes), letter === "" ? mark(CHECK) : text());
 }
 
 /** Return the word of a state. */
@@ -34,13 +32,16 @@ const VERDICTS = { conforms: CHECK, does_not_conform: CROSS, undecided: "M6 12h1
 
 /** Return the symbol of a verdict; an empty ring for none. */
 export const verdictSymbol = (verdict) =>
-  svgElement("svg", { viewBox: "0 0 24 24", class: "symbol", "data-verdict": verdict, "aria-hidden": "true" },
-    svgElement("circle", { cx: 12, cy: 12, r: 11 }),
-    verdict in VERDICTS ? svgElement("path", { class: "mark", d: VERDICTS[verdict] }) : null);
+  symbol({ "data-verdict": verdict }, svg.circle({ cx: 12, cy: 12, r: 11 }), verdict in VERDICTS && mark(VERDICTS[verdict]));
 
 const BARS = { low: 1, medium: 2, high: 3, urgent: 4 };
 
 /** Return as many bars as an alarm is urgent. */
 export const prioritySymbol = (priority) =>
-  svgElement("svg", { viewBox: "0 0 24 24", class: "symbol", "data-priority": priority, "aria-hidden": "true" },
-    Array.from({ length: BARS[priority] }, (_, bar) => svgElement("rect", { x: 1 + 6 * bar, y: 17 - 5 * bar, width: 4, height: 6 + 5 * bar })));
+  symbol({ "data-priority": priority }, Array.from({ length: BARS[priority] }, (_, bar) => svg.rect({ x: 1 + 6 * bar, y: 17 - 5 * bar, width: 4, height: 6 + 5 * bar })));
+
+const SIGNS = { good: "●", reduced: "◐", degraded: "○" };
+
+/** Return how far a result may be from the truth, as sign and word. */
+export const qualityMark = (quality) =>
+  html.span({ class: `quality ${quality}` }, html.span({ "aria-hidden": "true" }, SIGNS[quality]), ` ${word(`stone.quality-${quality}`)}`);

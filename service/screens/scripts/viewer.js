@@ -1,7 +1,7 @@
 /** A stone's body in 3-D: turned by mouse, touch and keys, with the gauges that measured it; a picture where there is no 3-D. */
 
 import { gauges } from "./calipers.js";
-import { element, show } from "./dom.js";
+import { html, show } from "./dom.js";
 import { number, word } from "./words.js";
 
 /** The direction that previews are seen from, in the rig's frame. */
@@ -15,11 +15,8 @@ const KEYS_TURN = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], Ar
 const TURN_OF_A_KEY = Math.PI / 18;
 
 /**
- * Show the body of a stone in `place` and return it, or null where a picture had to do.
- *
- * @param {HTMLElement} place
- * @param {{mesh: string, preview: string, name: string, result: object, calipers: Promise<?object>}} stone addresses, its
- *   name, its result, and what `/particles/{id}/calipers` will have returned: the places, on the mesh as it is served
+ * Show the body of a stone in `place` and return it, or null where a picture had to do; `stone` has its name, its
+ * result, the addresses of mesh and preview, and a promise of what `/particles/{id}/calipers` returns.
  */
 export async function showBody(place, stone) {
   let why = "viewer.no-package";
@@ -38,7 +35,7 @@ export async function showBody(place, stone) {
 }
 
 function showPicture(place, { preview, name }, why) {
-  show(place, element("img", { class: "body-picture", src: preview, alt: name }), element("p", { class: "note" }, word(why)));
+  show(place, html.img({ class: "body-picture", src: preview, alt: name }), html.p({ class: "note" }, word(why)));
 }
 
 /** Return what draws bodies; null where the installation has no packages. */
@@ -56,11 +53,11 @@ const hasWebGl = () => document.createElement("canvas").getContext("webgl2") !==
 class Body {
   constructor(place, stone, { three, OrbitControls, GLTFLoader }) {
     Object.assign(this, { place, stone, three, GLTFLoader });
-    this.canvas = element("canvas", {
+    this.canvas = html.canvas({
       class: "body", tabindex: 0, role: "application", "aria-label": word("viewer.label", { name: stone.name }), "aria-describedby": "viewer-help",
     });
-    this.labels = element("div", { class: "gauge-labels", "aria-hidden": "true" });
-    this.bar = element("div", { class: "scale-bar", "aria-hidden": "true" });
+    this.labels = html.div({ class: "gauge-labels", "aria-hidden": "true" });
+    this.bar = html.div({ class: "scale-bar", "aria-hidden": "true" });
     this.renderer = new three.WebGLRenderer({ canvas: this.canvas, antialias: true, alpha: true });
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     this.camera = new three.OrthographicCamera();
@@ -88,7 +85,7 @@ class Body {
     this.model = new this.three.Mesh(geometry, material);
     this.scene.add(this.model, this.camera);
     this.light();
-    show(this.place, this.canvas, this.labels, this.bar, element("p", { id: "viewer-help", class: "note" }, word("viewer.help")));
+    show(this.place, this.canvas, this.labels, this.bar, html.p({ id: "viewer-help", class: "note" }, word("viewer.help")));
     if (calipers !== null) {
       this.gauges = gauges(this.three, calipers, geometry.attributes.position.array, (name) => this.colour(name));
       for (const [name, gauge] of this.gauges) this.addGauge(name, gauge);
@@ -102,7 +99,6 @@ class Body {
   /** Show or hide one gauge. */
   toggle(name, isShown) {
     const gauge = this.gauges.get(name);
-    if (!gauge) return;
     gauge.object.visible = isShown;
     gauge.text.hidden = !isShown;
     this.ask();
@@ -121,14 +117,14 @@ class Body {
 
   addGauge(name, gauge) {
     const valueMm = this.stone.result[name === "sieve" ? "sieve_size_mm" : `${name}_mm`]; // what was measured is said
-    gauge.text = element("span", { class: `gauge ${name}` }, `${word(`viewer.gauge-${name}`)} ${number(valueMm, 2)} mm`);
+    gauge.text = html.span({ class: `gauge ${name}` }, `${word(`viewer.gauge-${name}`)} ${number(valueMm, 2)} mm`);
     this.labels.append(gauge.text);
     this.scene.add(gauge.object);
   }
 
   /** Return the colour of a gauge in the theme of the moment, as it comes out of the styles. */
   colour(name) {
-    const probe = element("span", { class: `gauge ${name}` });
+    const probe = html.span({ class: `gauge ${name}` });
     this.labels.append(probe);
     const { color } = getComputedStyle(probe);
     probe.remove();

@@ -1,7 +1,8 @@
 /** What the cameras saw of a stone: the picture where it is kept, the outline over it, cut to the stone. */
 
 import { BASE, getText } from "./api.js";
-import { byId, element, show, svgElement, svgFromServer } from "./dom.js";
+import { html, show, svg, svgFromServer } from "./dom.js";
+import { openDialog } from "./forms.js";
 import { number, word } from "./words.js";
 
 const MARGIN = 0.12;
@@ -25,16 +26,12 @@ export function showViews(place, stone, hasFrames) {
 function figure(stone, camera, hasFrames) {
   const why = stone.dropped_views[camera];
   const residualPx = stone.view_residuals_px?.[camera];
-  const button = element("button", { type: "button", class: "view", "aria-label": word("passport.enlarge", { camera }) });
-  const shown = element(
-    "figure",
-    { "data-camera": camera },
+  const button = html.button({ type: "button", class: "view", "aria-label": word("passport.enlarge", { camera }) });
+  const shown = html.figure({ "data-camera": camera },
     button,
-    element(
-      "figcaption",
-      {},
-      element("strong", {}, camera),
-      why ? element("span", { class: "unused" }, ` ⊘ ${word("passport.view-unused")}: ${why}`)
+    html.figcaption(
+      html.strong(camera),
+      why ? html.span({ class: "unused" }, ` ⊘ ${word("passport.view-unused")}: ${why}`)
         : residualPx === undefined ? "" : ` ${word("passport.view-residual", { px: number(residualPx, 2) })}`,
     ),
   );
@@ -58,14 +55,14 @@ function figure(stone, camera, hasFrames) {
     button.addEventListener("click", () => enlarge(drawing, camera, whole));
   }
   function showNothing(why) {
-    show(button, element("span", {}, word(why)));
+    show(button, html.span(word(why)));
     button.removeAttribute("aria-label");
     button.disabled = true;
   }
   return { shown, load };
 }
 
-const bare = () => svgElement("svg", { viewBox: "0 0 1280 1024" });
+const bare = () => svg.svg({ viewBox: "0 0 1280 1024" });
 
 /** Show what is drawn and a margin alone. */
 function cut(drawing) {
@@ -77,20 +74,14 @@ function cut(drawing) {
 
 function addPicture(drawing, stone, camera, whole) {
   const [, , width, height] = whole.split(" ").map(Number);
-  const picture = svgElement("image", { href: `${BASE}/particles/${stone.key}/views/${camera}.png`, width, height });
+  const picture = svg.image({ href: `${BASE}/particles/${stone.key}/views/${camera}.png`, width, height });
   picture.addEventListener("error", () => picture.remove());
   drawing.prepend(picture);
 }
 
 function enlarge(drawing, camera, whole) {
-  const dialog = byId("enlarged");
   const copy = drawing.cloneNode(true);
   copy.setAttribute("viewBox", whole);
-  show(
-    dialog,
-    element("h2", { id: "enlarged-heading" }, word("passport.view-label", { camera })),
-    copy,
-    element("form", { method: "dialog", class: "actions" }, element("button", {}, word("passport.close"))),
-  );
-  dialog.showModal();
+  const name = word("passport.view-label", { camera });
+  openDialog({ class: "enlarged", "aria-label": name }, html.h2(name), copy);
 }

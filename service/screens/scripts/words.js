@@ -32,14 +32,20 @@ export function word(key, values = {}) {
   return (words[key] ?? key).replace(/\{(\w+)\}/g, (_, name) => String(values[name]));
 }
 
-/** Return whether there are words for a key. */
-export const hasWord = (key) => key in words;
+/** Return the words of a key, `other` where there are none. */
+export const wordOr = (key, other) => words[key] ?? other;
 
 /** Return a number with so many digits after the point, a dash for none. */
 export function number(value, digits = 0) {
   if (value === null || value === undefined) return "–";
   return value.toLocaleString(language(), { minimumFractionDigits: digits, maximumFractionDigits: digits });
 }
+
+/** Return a figure with its unit, a dash for none. */
+export const quantity = (value, digits, unit) => (value === null || value === undefined ? "–" : `${number(value, digits)} ${unit}`.trim());
+
+/** Return the size of a sieve, with as many digits as it needs. */
+export const sieve = (sizeMm) => number(sizeMm, Number.isInteger(sizeMm) ? 0 : Math.min(3, String(sizeMm).split(".")[1].length));
 
 /** How dates and times are written: of the English ones not the American. */
 export const locale = () => (language() === "en" ? "en-GB" : language());

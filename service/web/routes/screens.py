@@ -14,6 +14,7 @@ from pathlib import Path
 
 from fastapi import APIRouter, HTTPException, Request
 from fastapi.responses import Response
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from service import screens
 from service.web.etags import unchanged
@@ -21,20 +22,30 @@ from service.web.gzipped import TakesGzip
 
 router = APIRouter(include_in_schema=False)
 
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A page: `name` is that of its file in `service/screens/pages`, of its script and of its words."""
+
+    name: str
+    style: str | None = None
+    """Name of the style sheet that it has beside the one of all pages."""
+    section: str | None = None
+    """Address of its link in the header; another page's for one that is found by way of that page."""
+
+
 PAGES = {
-    "/": "operator",
-    "/compare": "compare",
-    "/gallery": "gallery",
-    "/setup": "setup",
-    "/sign-in": "sign-in",
-    "/stones/{particle_id}": "passport",
+    "/": Page("operator", style="operator", section="/"),
+    "/gallery": Page("gallery", style="stones", section="/gallery"),
+    "/compare": Page("compare", style="stones", section="/compare"),
+    "/setup": Page("setup", style="setup", section="/setup"),
+    "/stones/{particle_id}": Page("passport", style="stones", section="/gallery"),
+    "/sign-in": Page("sign-in"),
 }
-"""File in `service/screens/pages` of each address."""
+"""All pages by address; the header links those that are a section, in this order."""
 ROOT = "/screens"
 PACKAGES = "packages.json"
 """File that lists what was fetched from npm, so that a page need not try."""
-PLACE_OF_FILES = "{{files}}"
-"""What a page writes for the folder of its files."""
 MEDIA_TYPES = {
     ".css": "text/css; charset=utf-8",
     ".html": "text/html; charset=utf-8",
@@ -81,17 +92,25 @@ def installed_screens() -> Screens:
     contents = dict(_read(folder))
     packages = sorted({path.split("/")[1] for path in contents if path.startswith("packages/")})
     contents[PACKAGES] = json.dumps(packages).encode()
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(repr(PAGES).encode())
     for path, content in contents.items():
         digest.update(f"{path}\0{len(content)}\0".encode() + content)
     version = digest.hexdigest()[:16]
-    place = f"{ROOT}/{version}".encode()
-    pages = {
-        address: File.of(
-            contents[f"pages/{name}.html"].replace(PLACE_OF_FILES.encode(), place), MEDIA_TYPES[".html"]
+    templates = Environment(
+        loader=FileSystemLoader(folder / "pages"),
+        undefined=StrictUndefined,
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+    def rendered(page: Page) -> File:
+        html = templates.get_template(f"{page.name}.html").render(
+            page=page, pages=PAGES, files=f"{ROOT}/{version}"
         )
-        for address, name in PAGES.items()
-    }
+        return File.of(html.encode(), MEDIA_TYPES[".html"])
+
+    pages = {address: rendered(page) for address, page in PAGES.items()}
     files = {
         path: File.of(content, MEDIA_TYPES[Path(path).suffix])
         for path, content in contents.items()
@@ -114,8 +133,8 @@ async def page(request: Request, compressed: TakesGzip) -> Response:
     return unchanged(request, tag) or _response(shown.pages[request.scope["route"].path], compressed, headers)
 
 
-for _address in PAGES:
-    router.add_api_route(_address, page, methods=["GET"], name=f"page_{PAGES[_address]}")
+for _address, _page in PAGES.items():
+    router.add_api_route(_address, page, methods=["GET"], name=f"page_{_page.name}")
 
 
 @router.get(f"{ROOT}/{{version}}/{{path:path}}")

@@ -1,28 +1,21 @@
 /** Alarms with what to do, acknowledged and shelved here. */
 
 import { get, post } from "../api.js";
-import { byId, element, setText, show } from "../dom.js";
+import { askWhenNew } from "../asking.js";
+import { byId, html, setText, show } from "../dom.js";
+import { actionButton, formDialog } from "../forms.js";
 import { prioritySymbol } from "../symbols.js";
 import { language, time, word } from "../words.js";
 
 const SHELF_MINUTES = [15, 60, 240, 480, 1440];
-let told = null;
-let isAsking = false;
+const SHELF_AT_FIRST = 60;
+
+const see = askWhenNew(async () => render(await get(`/alarms?language=${language()}`)));
 
 /** Show the alarms; their words are asked for when one of them changed. */
-export async function showAlarms({ alarms }) {
-  const now = JSON.stringify(alarms);
-  if (now === told || isAsking) return;
-  isAsking = true;
-  try {
-    render(await get(`/alarms?language=${language()}`));
-    told = now;
-  } catch {
-    // the next overview asks again
-  } finally {
-    isAsking = false;
-  }
-}
+export const showAlarms = ({ alarms }) => see(alarms);
+
+const act = (alarm, action, values) => post(`/alarms/${alarm.id}/${action}`, values).then(see.again);
 
 function render({ items, shelved, suppressed }) {
   const n = items.filter((alarm) => alarm.state === "unacknowledged").length;
@@ -31,30 +24,23 @@ function render({ items, shelved, suppressed }) {
   show(
     byId("alarm-list"),
     items.map(card),
-    shelved.length > 0 && element("details", {}, element("summary", {}, word("operator.shelved", { n: shelved.length })), ...shelved.map(shelvedCard)),
-    suppressed.length > 0 && element("p", { class: "weak" }, word("operator.suppressed", { n: suppressed.length })),
+    shelved.length > 0 && html.details(html.summary(word("operator.shelved", { n: shelved.length })), shelved.map(shelvedCard)),
+    suppressed.length > 0 && html.p({ class: "weak" }, word("operator.suppressed", { n: suppressed.length })),
   );
 }
 
-function card(alarm) {
-  const problem = element("p", { class: "problem", role: "alert" });
-  return element(
-    "article",
-    { class: `alarm ${alarm.state}`, "data-id": alarm.id, "data-priority": alarm.priority, "data-check": alarm.check },
-    element("p", { class: "priority" }, prioritySymbol(alarm.priority), word(`operator.priority-${alarm.priority}`), " · ", word(`operator.alarm-${alarm.state}`)),
-    element("h3", {}, alarm.cause),
-    element("p", { class: "action" }, element("strong", {}, word("operator.what-to-do")), " ", alarm.action),
-    element("p", { class: "detail" }, `${alarm.check}: ${alarm.detail ?? ""}`),
-    element("p", { class: "weak" }, since(alarm)),
-    problem,
-    element(
-      "div",
-      { class: "actions" },
-      alarm.state !== "acknowledged" && button("operator.acknowledge", () => post(`/alarms/${alarm.id}/acknowledge`), problem),
-      element("button", { type: "button", onclick: () => shelve(alarm) }, word("operator.shelve")),
+const card = (alarm) =>
+  html.article({ class: `alarm ${alarm.state}`, "data-id": alarm.id, "data-priority": alarm.priority, "data-check": alarm.check },
+    html.p({ class: "priority" }, prioritySymbol(alarm.priority), word(`operator.priority-${alarm.priority}`), " · ", word(`operator.alarm-${alarm.state}`)),
+    html.h3(alarm.cause),
+    html.p(html.strong(word("operator.what-to-do")), " ", alarm.action),
+    html.p({ class: "detail" }, `${alarm.check}: ${alarm.detail ?? ""}`),
+    html.p({ class: "weak" }, since(alarm)),
+    html.div({ class: "actions" },
+      alarm.state !== "acknowledged" && actionButton("operator.acknowledge", () => act(alarm, "acknowledge"), { class: "main" }),
+      html.button({ type: "button", onclick: () => shelve(alarm) }, word("operator.shelve")),
     ),
   );
-}
 
 function since({ raised_at: raisedAt, occurrences, acknowledged_by: by }) {
   const facts = [word("operator.raised", { at: time(raisedAt) })];
@@ -63,66 +49,23 @@ function since({ raised_at: raisedAt, occurrences, acknowledged_by: by }) {
   return facts.join(" · ");
 }
 
-function shelvedCard(alarm) {
-  const problem = element("p", { class: "problem", role: "alert" });
-  return element(
-    "article",
-    { class: "alarm shelved", "data-id": alarm.id },
-    element("h3", {}, alarm.cause),
-    element("p", { class: "weak" }, word("operator.shelved-until", { at: time(alarm.shelved_until), by: alarm.shelved_by, reason: alarm.shelf_reason })),
-    problem,
-    element("div", { class: "actions" }, button("operator.unshelve", () => post(`/alarms/${alarm.id}/unshelve`), problem)),
+const shelvedCard = (alarm) =>
+  html.article({ class: "alarm shelved", "data-id": alarm.id },
+    html.h3(alarm.cause),
+    html.p({ class: "weak" }, word("operator.shelved-until", { at: time(alarm.shelved_until), by: alarm.shelved_by, reason: alarm.shelf_reason })),
+    html.div({ class: "actions" }, actionButton("operator.unshelve", () => act(alarm, "unshelve"), { class: "main" })),
   );
-}
-
-function button(key, act, problem) {
-  const made = element("button", { type: "button", class: "main", onclick: run }, word(key));
-  async function run() {
-    made.disabled = true;
-    try {
-      await act();
-      told = null; // the next overview shows it
-    } catch (error) {
-      made.disabled = false;
-      setText(problem, error.message);
-    }
-  }
-  return made;
-}
 
 function shelve(alarm) {
-  const minutes = element("select", {}, ...SHELF_MINUTES.map((each) => element("option", { value: each, selected: each === 60 }, word("operator.hours-long", { hours: each / 60 }))));
-  const reason = element("textarea", { required: true, maxlength: 2000 });
-  const problem = element("p", { class: "problem", role: "alert" });
-  const dialog = element(
-    "dialog",
-    { "aria-labelledby": "shelve-title", onclose: () => dialog.remove() },
-    element(
-      "form",
-      { onsubmit: put },
-      element("h2", { id: "shelve-title" }, word("operator.shelve-title")),
-      element("p", {}, alarm.cause),
-      element("label", {}, word("operator.shelve-for"), minutes),
-      element("label", {}, word("operator.shelve-reason"), reason),
-      problem,
-      element(
-        "div",
-        { class: "actions" },
-        element("button", { type: "button", onclick: () => dialog.close() }, word("operator.cancel")),
-        element("button", { class: "main" }, word("operator.shelve-do")),
-      ),
-    ),
+  const option = (minutes) => html.option({ value: minutes, selected: minutes === SHELF_AT_FIRST }, word("operator.hours-long", { hours: minutes / 60 }));
+  const dialog = formDialog(
+    "operator.shelve-title",
+    "operator.shelve-do",
+    ({ minutes, reason }) => act(alarm, "shelve", { minutes: Number(minutes), reason }),
+    html.p(alarm.cause),
+    html.label(word("operator.shelve-for"), html.select({ name: "minutes" }, SHELF_MINUTES.map(option))),
+    html.label(word("operator.shelve-reason"), html.textarea({ name: "reason", required: true, maxlength: 2000 })),
   );
-  async function put(event) {
-    event.preventDefault();
-    try {
-      await post(`/alarms/${alarm.id}/shelve`, { minutes: Number(minutes.value), reason: reason.value });
-      told = null;
-      dialog.close();
-    } catch (error) {
-      setText(problem, error.message);
-    }
-  }
-  document.body.append(dialog);
+  dialog.addEventListener("close", () => dialog.remove());
   dialog.showModal();
 }

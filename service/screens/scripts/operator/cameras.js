@@ -1,9 +1,10 @@
 /** All cameras: what each saw last, and how well it sees. */
 
 import { BASE } from "../api.js";
-import { byId, element, setText, show } from "../dom.js";
+import { byId, html, setText, showNew } from "../dom.js";
+import { openDialog } from "../forms.js";
 import { ne107Symbol, ne107Word } from "../symbols.js";
-import { number, span, word } from "../words.js";
+import { quantity, span, word } from "../words.js";
 
 const SHEET = `${BASE}/cameras/contact-sheet.jpg`;
 const COLUMNS = 4; // of the sheet
@@ -15,41 +16,36 @@ let loadedAt = 0;
 
 /** Show a tile of each camera; one that needs attention says so in words. */
 export function showCameras({ cameras: now }) {
-  if (now.map(({ id }) => id).join() !== cameras.map(({ id }) => id).join()) show(byId("camera-tiles"), now.map(tile));
+  showNew(byId("camera-tiles"), now.map(({ id }) => id), () => now.map(tile));
   cameras = now;
   now.forEach(update);
   if (Date.now() - loadedAt > REFRESH_MS && document.visibilityState === "visible") loadSheet();
 }
 
 function tile({ id }) {
-  return element(
-    "li",
-    { id: `camera-${id}` },
-    element(
-      "button",
-      { type: "button", onclick: () => enlarge(id) },
-      element("span", { class: "picture" }),
-      element("span", { class: "name" }, element("b", {}, id), element("span", { class: "state" })),
-      element("span", { class: "values" }, VALUES.map(([field]) => element("span", { "data-field": field }))),
+  return html.li({ id: `camera-${id}` },
+    html.button({ type: "button", onclick: () => enlarge(id) },
+      html.span({ class: "picture" }),
+      html.span({ class: "name" }, html.b(id), html.span({ class: "state" })),
+      html.span({ class: "values" }, VALUES.map(([field]) => html.span({ "data-field": field }))),
     ),
   );
 }
 
 function update(camera) {
-  const place = byId(`camera-${camera.id}`);
-  const state = camera.state === "armed" ? camera.ne107 : `${camera.ne107} ${camera.state}`;
-  if (place.dataset.state !== state) {
-    place.dataset.state = state;
-    place.dataset.ne107 = camera.ne107;
-    const text = camera.state === "armed" ? ne107Word(camera.ne107) : word(`operator.camera-${camera.state}`);
-    show(place.querySelector(".state"), ne107Symbol(camera.ne107), camera.ne107 === "good" && camera.state === "armed" ? element("span", { class: "only-read" }, text) : text);
-  }
+  const { id, state, ne107 } = camera;
+  const place = byId(`camera-${id}`);
+  place.dataset.ne107 = ne107;
+  showNew(place.querySelector(".state"), [state, ne107], () => {
+    const text = state === "armed" ? ne107Word(ne107) : word(`operator.camera-${state}`);
+    return [ne107Symbol(ne107), ne107 === "good" && state === "armed" ? html.span({ class: "only-read" }, text) : text];
+  });
   VALUES.forEach((value) => setText(place.querySelector(`[data-field="${value[0]}"]`), told(camera, value)));
 }
 
 function told(camera, [field, unit, factor, digits]) {
-  const value = camera[field] === null ? "–" : `${number(camera[field] * factor, digits)} ${unit}`.trim();
-  return `${word(`operator.camera-value-${field}`)} ${value}`;
+  const value = camera[field] === null ? null : camera[field] * factor;
+  return `${word(`operator.camera-value-${field}`)} ${quantity(value, digits, unit)}`;
 }
 
 /** Load the pictures of all cameras as one, and show each tile its part. */
@@ -72,16 +68,12 @@ function loadSheet() {
 function enlarge(id) {
   const camera = cameras.find((each) => each.id === id);
   const age = camera.last_frame_age_s === null ? word("operator.no-picture") : word("operator.picture-age", { age: span(camera.last_frame_age_s) });
-  const dialog = element(
-    "dialog",
-    { class: "camera", "aria-label": id, onclose: () => dialog.remove() },
-    element("h2", {}, id, " · ", word(`operator.camera-${camera.state}`), " · ", ne107Word(camera.ne107)),
-    camera.last_frame_age_s !== null && element("img", { src: `${BASE}/cameras/${encodeURIComponent(id)}/snapshot.png`, alt: word("operator.picture-of", { camera: id }) }),
-    element("p", {}, VALUES.map((value) => told(camera, value)).join(" · ")),
-    element("p", { class: "weak" }, age),
-    ...camera.warnings.map((each) => element("p", { class: "problem" }, each)),
-    element("div", { class: "actions" }, element("button", { type: "button", class: "main", onclick: () => dialog.close() }, word("operator.close"))),
+  openDialog(
+    { class: "camera", "aria-label": id },
+    html.h2(id, " · ", word(`operator.camera-${camera.state}`), " · ", ne107Word(camera.ne107)),
+    camera.last_frame_age_s !== null && html.img({ src: `${BASE}/cameras/${encodeURIComponent(id)}/snapshot.png`, alt: word("operator.picture-of", { camera: id }) }),
+    html.p(VALUES.map((value) => told(camera, value)).join(" · ")),
+    html.p({ class: "weak" }, age),
+    camera.warnings.map((each) => html.p({ class: "problem" }, each)),
   );
-  document.body.append(dialog);
-  dialog.showModal();
 }

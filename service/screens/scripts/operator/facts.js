@@ -1,6 +1,6 @@
 /** What the service says of itself: the balance of all triggers, queue, delay, disk, verification. */
 
-import { byId, element, setText } from "../dom.js";
+import { byId, described, showNew } from "../dom.js";
 import { number, span, word } from "../words.js";
 
 const CALIBRATION_LETTERS = 12; // enough to tell one from another
@@ -19,7 +19,6 @@ const FACTS = [
 
 /** Show the facts. */
 export function showFacts(overview) {
-  const list = byId("fact-list");
-  if (list.children.length === 0) list.append(...FACTS.map(([key]) => element("div", {}, element("dt", {}, word(key)), element("dd"))));
-  FACTS.forEach(([, text], index) => setText(list.children[index].querySelector("dd"), text(overview)));
+  const facts = FACTS.map(([key, text]) => [word(key), text(overview)]);
+  showNew(byId("fact-list"), facts, () => described(facts));
 }

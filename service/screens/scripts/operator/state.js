@@ -1,8 +1,8 @@
 /** The state of the rig, the lot, and the verdict: what is read from three metres. */
 
-import { byId, element, setText, show } from "../dom.js";
+import { byId, html, setText, showNew } from "../dom.js";
 import { ne107Symbol, ne107Word, verdictSymbol } from "../symbols.js";
-import { number, span, time, word } from "../words.js";
+import { number, sieve, span, time, word } from "../words.js";
 
 const GRAVEST_FIRST = ["does_not_conform", "insufficient", "undecided", "conforms", "not_measured"];
 
@@ -12,16 +12,10 @@ export function showState({ acquisition, ne107, reasons }) {
   const text = acquisition.state === "armed" ? word(`operator.activity-${acquisition.activity}`) : word(`operator.state-${acquisition.state}`);
   setText(byId("state-word"), text);
   setText(byId("ne107"), word("operator.rig-is", { state: ne107Word(ne107) }));
-  if (byId("state-symbol").dataset.ne107 !== ne107) {
-    byId("state-symbol").dataset.ne107 = ne107;
-    show(byId("state-symbol"), ne107Symbol(ne107));
-  }
-  const told = [acquisition.trouble, ...reasons].filter((each) => each !== null);
-  if (byId("reasons").dataset.told !== told.join("\n")) {
-    byId("reasons").dataset.told = told.join("\n");
-    show(byId("reasons"), [...new Set(told)].map((each) => element("li", {}, each)));
-    byId("reasons").title = told.join("\n"); // there is room for the first
-  }
+  showNew(byId("state-symbol"), ne107, () => ne107Symbol(ne107));
+  const told = [...new Set([acquisition.trouble, ...reasons])].filter((each) => each !== null);
+  showNew(byId("reasons"), told, () => told.map((each) => html.li(each)));
+  byId("reasons").title = told.join("\n"); // there is room for the first
   document.title = `${text} · stonefall`;
 }
 
@@ -41,11 +35,8 @@ export function showLot({ lot }) {
 /** Show whether the lot conforms, and when it will be known. */
 export function showVerdict({ figures }) {
   const verdict = figures?.verdict ?? "none";
-  const place = byId("verdict-word");
-  if (place.dataset.verdict !== verdict) {
-    place.dataset.verdict = byId("verdict").dataset.verdict = verdict;
-    show(place, verdictSymbol(verdict), element("span", {}, word(`operator.verdict-${verdict}`)));
-  }
+  byId("verdict").dataset.verdict = verdict;
+  showNew(byId("verdict-word"), verdict, () => [verdictSymbol(verdict), html.span(word(`operator.verdict-${verdict}`))]);
   const partial = figures?.is_partial ? word("operator.partial") : "";
   const told = [countdown(figures?.decisions ?? []), partial].join(" ").trim();
   setText(byId("countdown"), told);
@@ -61,7 +52,7 @@ function countdown(decisions) {
 }
 
 function judged({ sieve_mm, index, percent, decision: { verdict, limits, more_stones, more_s } }) {
-  const name = index === null ? `${number(sieve_mm, Number.isInteger(sieve_mm) ? 0 : 1)} mm` : index;
+  const name = index === null ? `${sieve(sieve_mm)} mm` : index;
   if (verdict === "does_not_conform") {
     const [value, low, high] = [percent.value, limits.min_percent, limits.max_percent].map((each) => number(each));
     return word("operator.judged-outside", { name, percent: value, low, high });

@@ -1,7 +1,7 @@
 /** The last stones, as they come: the newest falls in on the left. */
 
 import { BASE } from "../api.js";
-import { byId, element } from "../dom.js";
+import { byId, html } from "../dom.js";
 import { number, time, word } from "../words.js";
 
 const MAX_SHOWN = 12;
@@ -30,33 +30,30 @@ function card(stone, isFirst) {
   const size = isMeasured ? `${number(stone.sieve_size_mm, 1)} mm` : word(`operator.outcome-${stone.outcome}`);
   const kind = isMeasured ? word(`operator.form-${stone.zingg_class}`) : word(`operator.reason-${stone.reason}`);
   const quality = isMeasured && stone.quality !== "good" ? word(`operator.quality-${stone.quality}`) : "";
-  const picture = element("div", { class: "picture" });
-  const made = element(
-    "li",
-    { "data-seq": stone.seq, class: isFirst ? stone.outcome : `${stone.outcome} falling`, title: time(stone.captured_at) },
+  const picture = html.div({ class: "picture" });
+  const made = html.li({ "data-seq": stone.seq, class: isFirst ? stone.outcome : `${stone.outcome} falling`, title: time(stone.captured_at) },
     picture,
-    element("b", {}, size),
-    element("span", {}, kind),
-    element("span", { class: "quality" }, quality),
+    html.b(size),
+    html.span(kind),
+    html.span({ class: "quality" }, quality),
   );
   if (stone.has_mesh) {
-    waiting.push({ picture, address: `${BASE}/particles/${stone.seq}/preview.png`, text: `${kind}, ${size}` });
-    loadNext();
+    waiting.push({ picture, src: `${BASE}/particles/${stone.seq}/preview.png`, alt: `${kind}, ${size}` });
+    loadPictures();
   }
   return made;
 }
 
 /** Load one picture at a time, the newest first, and none of a card that is gone: twenty pages ask one process. */
-function loadNext() {
+async function loadPictures() {
   if (isLoading) return;
-  let next;
-  do next = waiting.pop();
-  while (next !== undefined && !next.picture.isConnected && next.picture.parentNode === null);
-  if (next === undefined) return;
   isLoading = true;
-  const done = () => setTimeout(() => {
-    isLoading = false;
-    loadNext();
-  }, PICTURE_PAUSE_MS);
-  next.picture.replaceChildren(element("img", { src: next.address, alt: next.text, onload: done, onerror: done }));
+  await null; // the card is put on the page first
+  while (waiting.length > 0) {
+    const { picture, src, alt } = waiting.pop();
+    if (!picture.isConnected) continue;
+    await new Promise((done) => picture.replaceChildren(html.img({ src, alt, onload: done, onerror: done })));
+    await new Promise((done) => setTimeout(done, PICTURE_PAUSE_MS));
+  }
+  isLoading = false;
 }

@@ -1,8 +1,9 @@
 /** D50, flakiness, shape and rate: the figure now, and how it went over the last hours, with the diary's marks. */
 
 import { getText } from "../api.js";
+import { latestOnly } from "../asking.js";
 import { mountDiary, showChanges } from "./diary.js";
-import { byId, element, setText, show, svgFromServer } from "../dom.js";
+import { byId, html, setText, show, svgFromServer } from "../dom.js";
 import { language, number, word } from "../words.js";
 
 /** Which hours are looked at, and how often they are drawn anew: an hour is quick to draw, and its end is watched. */
@@ -11,22 +12,21 @@ const HOURS = Object.keys(REFRESH_MS).map(Number);
 const CHANGES_MS = 60_000;
 /** Name of the trend, field of `figures`, unit, digits after the point. */
 const TILES = [["d50", "d50_mm", "mm", 1], ["flakiness", "flakiness_percent", "%", 1], ["shape", "shape_percent", "%", 1], ["rate", null, "/min", 0]];
-let hours = Number(localStorage.getItem("hours") ?? HOURS[0]);
+const latest = latestOnly();
+let hours = Number(localStorage.getItem("hours"));
 let drawnAt = 0;
 let drawn = localStorage.getItem("trend") ?? TILES[0][0]; // one drawing that can be read rather than four that cannot
 
 /** Make the tiles, the choice of hours and the diary. */
 export function mountTrends() {
   show(byId("tiles"), TILES.map(([name, , unit]) =>
-    element(
-      "button",
-      { type: "button", class: "tile", id: `tile-${name}`, onclick: () => draw(name) },
-      element("span", { class: "name" }, word(`operator.figure-${name}`)),
-      element("span", { class: "value" }, element("b", {}, "–"), " ", element("span", { class: "unit" }, unit)),
-      element("span", { class: "interval" }),
+    html.button({ type: "button", class: "tile", id: `tile-${name}`, onclick: () => draw(name) },
+      html.span({ class: "name" }, word(`operator.figure-${name}`)),
+      html.span({ class: "value" }, html.b("–"), " ", html.span({ class: "unit" }, unit)),
+      html.span({ class: "interval" }),
     )));
   show(byId("hours"), HOURS.map((each) =>
-    element("button", { type: "button", "data-hours": each, onclick: () => choose(each) }, word("operator.last-hours", { hours: each }))));
+    html.button({ type: "button", "data-hours": each, onclick: () => choose(each) }, word("operator.last-hours", { hours: each }))));
   mountDiary(refresh);
   choose(hours);
   setInterval(() => showChanges(hours), CHANGES_MS);
@@ -74,6 +74,6 @@ async function drawTrend() {
   for (const [name] of TILES) byId(`tile-${name}`).setAttribute("aria-pressed", String(name === drawn));
   const asked = `/trends/${drawn}.svg?hours=${hours}&language=${language()}`;
   byId("trend").dataset.asked = asked;
-  const text = await getText(asked).catch(() => null);
-  if (text !== null && byId("trend").dataset.asked === asked) show(byId("trend"), svgFromServer(text));
+  const text = await latest(getText(asked)).catch(() => null);
+  if (text !== null) show(byId("trend"), svgFromServer(text));
 }

@@ -1,7 +1,7 @@
 /** Where balls were seen so far, in space and in each image, and what to drop next. */
 
-import { element, svgElement } from "../dom.js";
-import { hasWord, number, word } from "../words.js";
+import { html, svg } from "../dom.js";
+import { number, quantity, word, wordOr } from "../words.js";
 import { cameraTowards, project } from "./rig.js";
 
 const PLANES = [["setup.space-above", 0, 1], ["setup.space-side", 0, 2], ["setup.space-front", 1, 2]];
@@ -10,7 +10,7 @@ const HORIZONTAL = { "+x": [1, 0], "-x": [-1, 0], "+y": [0, 1], "-y": [0, -1] };
 
 /** Return in words for the hands what to drop next. */
 export function wanted({ n_drops: nDrops, reaches_mm: reaches, cameras, goals, is_sufficient: isSufficient }, rig) {
-  if (isSufficient) return [element("p", { class: "verdict good" }, word("setup.coverage-sufficient"))];
+  if (isSufficient) return html.p({ class: "verdict good" }, word("setup.coverage-sufficient"));
   const items = [];
   if (nDrops < goals.n_drops) items.push(word("setup.coverage-more", { n: goals.n_drops - nDrops }));
   for (const [direction, reach] of Object.entries(reaches)) {
@@ -26,7 +26,7 @@ export function wanted({ n_drops: nDrops, reaches_mm: reaches, cameras, goals, i
   if (blind.length > 0) {
     items.push(word("setup.coverage-cameras", { cameras: blind.map(([camera, seen]) => `${camera} (${seen.n_drops})`).join(", "), goal: goals.n_drops_per_camera }));
   }
-  return [element("h3", {}, word("setup.coverage-next")), element("ul", { class: "next" }, ...items.map((item) => element("li", {}, item)))];
+  return [html.h3(word("setup.coverage-next")), html.ul({ class: "next" }, items.map((item) => html.li(item)))];
 }
 
 /** Draw the balls in space, from above and from two sides; the square is what they shall reach beyond. */
@@ -35,9 +35,9 @@ export function spaceCoverage(drops, { goals, extent_mm: extent }, rig) {
   const reach = 1.2 * Math.max(2 * goals.reach_mm, ...centers.flat().map(Math.abs));
   const words = word("setup.space-words", { n: centers.length, x: number(extent[0], 1), y: number(extent[1], 1), z: number(extent[2], 1) });
   return [
-    element("h3", {}, word("setup.space")),
-    element("div", { class: "planes" }, ...PLANES.map(([key, across, up]) => element("figure", {}, plane(centers, across, up, reach, goals.reach_mm, rig), element("figcaption", {}, word(key))))),
-    element("p", { class: "weak" }, words),
+    html.h3(word("setup.space")),
+    html.div({ class: "planes" }, PLANES.map(([key, across, up]) => html.figure(plane(centers, across, up, reach, goals.reach_mm, rig), html.figcaption(word(key))))),
+    html.p({ class: "weak" }, words),
   ];
 }
 
@@ -49,17 +49,15 @@ function plane(centers, across, up, reach, goal, rig) {
     const camera = axis < 2 ? ` ${cameraTowards(rig.cameras, direction).id}` : "";
     return `${sign > 0 ? "+" : "−"}${AXES[axis]}${camera}`;
   };
-  return svgElement(
-    "svg",
-    { viewBox: "-118 -118 236 236", class: "space", "aria-hidden": "true" },
-    svgElement("rect", { class: "field", x: -100, y: -100, width: 200, height: 200 }),
-    svgElement("path", { class: "axes", d: "M-100 0h200M0 -100v200" }),
-    svgElement("rect", { class: "goal", x: -at(goal), y: -at(goal), width: 2 * at(goal), height: 2 * at(goal) }),
-    ...centers.map((center, n) => svgElement("circle", { class: n === centers.length - 1 ? "ball newest" : "ball", cx: at(center[across]), cy: -at(center[up]), r: 5 })),
-    svgElement("text", { x: 100, y: 114, "text-anchor": "end" }, label(across, 1)),
-    svgElement("text", { x: -100, y: 114 }, label(across, -1)),
-    svgElement("text", { x: 0, y: -104, "text-anchor": "middle" }, label(up, 1)),
-    svgElement("text", { x: 0, y: 114, "text-anchor": "middle" }, label(up, -1)),
+  return svg.svg({ viewBox: "-118 -118 236 236", class: "space", "aria-hidden": "true" },
+    svg.rect({ class: "field", x: -100, y: -100, width: 200, height: 200 }),
+    svg.path({ class: "axes", d: "M-100 0h200M0 -100v200" }),
+    svg.rect({ class: "goal", x: -at(goal), y: -at(goal), width: 2 * at(goal), height: 2 * at(goal) }),
+    centers.map((center, n) => svg.circle({ class: n === centers.length - 1 ? "ball newest" : "ball", cx: at(center[across]), cy: -at(center[up]), r: 5 })),
+    svg.text({ x: 100, y: 114, "text-anchor": "end" }, label(across, 1)),
+    svg.text({ x: -100, y: 114 }, label(across, -1)),
+    svg.text({ x: 0, y: -104, "text-anchor": "middle" }, label(up, 1)),
+    svg.text({ x: 0, y: 114, "text-anchor": "middle" }, label(up, -1)),
   );
 }
 
@@ -72,30 +70,22 @@ export function cameraCoverage(drops, { cameras: seen, goals }, rig, diameter_mm
       .filter(({ center_mm: center, views }) => center !== null && views.includes(camera.id))
       .map((drop) => {
         const { u, v, px_per_mm: scale } = project(camera, drop.center_mm);
-        return svgElement("circle", { class: "ball", cx: u, cy: v, r: ((drop.diameter_mm ?? diameter_mm) / 2) * scale });
+        return svg.circle({ class: "ball", cx: u, cy: v, r: ((drop.diameter_mm ?? diameter_mm) / 2) * scale });
       });
     const isEnough = coverage.n_drops >= goals.n_drops_per_camera;
-    return element(
-      "figure",
-      { class: isEnough ? "view enough" : "view" },
-      svgElement("svg", { viewBox: `0 0 ${width} ${height}`, "aria-hidden": "true" }, svgElement("rect", { class: "field", width, height }), ...circles),
-      element("figcaption", {}, element("strong", {}, camera.id), ` ${isEnough ? "✓" : ""} ${word("setup.view-words", { n: coverage.n_drops, share: number(100 * coverage.field_share) })}`),
+    return html.figure({ class: isEnough ? "view enough" : "view" },
+      svg.svg({ viewBox: `0 0 ${width} ${height}`, "aria-hidden": "true" }, svg.rect({ class: "field", width, height }), circles),
+      html.figcaption(html.strong(camera.id), ` ${isEnough ? "✓" : ""} ${word("setup.view-words", { n: coverage.n_drops, share: number(100 * coverage.field_share) })}`),
     );
   };
-  return [element("h3", {}, word("setup.views")), element("div", { class: "views" }, ...rig.layers.flat().map(tile))];
+  return [html.h3(word("setup.views")), html.div({ class: "views" }, rig.layers.flat().map(tile))];
 }
 
 /** List the drops, the newest first, with what was left out and why. */
 export function dropList(drops) {
-  const reason = (code) => (hasWord(`setup.refused-${code}`) ? word(`setup.refused-${code}`) : code);
-  const described = ({ views, refused, problem }) => {
-    if (problem !== null) return problem;
-    const left = Object.entries(refused);
-    return [word("setup.drop-views", { n: views.length }), ...left.map(([camera, code]) => `${camera}: ${reason(code)}`)].join("; ");
-  };
-  if (drops.length === 0) return [element("p", { class: "weak" }, word("setup.no-drops"))];
-  return [
-    element("h3", {}, word("setup.drops")),
-    element("ol", { class: "drops", reversed: true }, ...drops.map((drop) => element("li", {}, element("span", {}, drop.diameter_mm === null ? "–" : `${number(drop.diameter_mm, 2)} mm`), ` ${described(drop)}`)).reverse()),
-  ];
+  const told = ({ views, refused }) =>
+    [word("setup.drop-views", { n: views.length }), ...Object.entries(refused).map(([camera, code]) => `${camera}: ${wordOr(`setup.refused-${code}`, code)}`)].join("; ");
+  const item = (drop) => html.li(html.span(quantity(drop.diameter_mm, 2, "mm")), ` ${drop.problem ?? told(drop)}`);
+  if (drops.length === 0) return html.p({ class: "weak" }, word("setup.no-drops"));
+  return [html.h3(word("setup.drops")), html.ol({ class: "drops", reversed: true }, drops.map(item).reverse())];
 }

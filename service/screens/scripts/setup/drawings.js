@@ -1,6 +1,6 @@
 /** The rig from above and from the side, with its cameras; the tiles below say the same in words. */
 
-import { svgElement } from "../dom.js";
+import { svg } from "../dom.js";
 
 const SIDE_AZIMUTH_RAD = -Math.PI / 6;
 /** The side is seen from beside the cameras' axes, so that none hides another. */
@@ -20,11 +20,9 @@ function draw({ cameras }, marks, choose, projected) {
   const seen = cameras.map((camera) => ({ ...camera, ...projected(camera) })).sort((a, b) => a.near - b.near);
   const at = (mm) => (100 * mm) / radius;
   const marker = ({ id, across, up, near }) =>
-    svgElement(
-      "g",
-      { class: `marker${near < 0 ? " far" : ""}${marks.has(id) ? " found" : ""}`, transform: `translate(${at(across)} ${-at(up)})`, onclick: () => choose(id) },
-      svgElement("circle", { r: near < 0 ? 10 : 12 }),
-      svgElement("text", { "text-anchor": "middle", y: 4 }, id.replace(/^c0?/, "")),
+    svg.g({ class: `marker${near < 0 ? " far" : ""}${marks.has(id) ? " found" : ""}`, transform: `translate(${at(across)} ${-at(up)})`, onclick: () => choose(id) },
+      svg.circle({ r: near < 0 ? 10 : 12 }),
+      svg.text({ "text-anchor": "middle", y: 4 }, id.replace(/^c0?/, "")),
     );
-  return svgElement("svg", { viewBox: "-122 -122 244 244", class: "rig", "aria-hidden": "true" }, svgElement("circle", { class: "sphere", r: 100 }), svgElement("circle", { class: "stone", r: 5 }), ...seen.map(marker));
+  return svg.svg({ viewBox: "-122 -122 244 244", class: "rig", "aria-hidden": "true" }, svg.circle({ class: "sphere", r: 100 }), svg.circle({ class: "stone", r: 5 }), ...seen.map(marker));
 }

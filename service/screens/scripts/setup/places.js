@@ -1,17 +1,19 @@
 /** The wizard of a rig's first start: one camera blinks, a person clicks the place where it does. */
 
 import { BASE, get, post, put } from "../api.js";
-import { element, setText, show } from "../dom.js";
+import { poll } from "../asking.js";
+import { html, rowHead, setText, showNew, table } from "../dom.js";
+import { actionButton, explained } from "../forms.js";
 import { number, word } from "../words.js";
 import { conclude, snippet } from "./conclusions.js";
 import { fromAbove, fromTheSide } from "./drawings.js";
-import { poll } from "./polling.js";
 import { rigInUse } from "./rig.js";
-import { actionButton, explained, hands, makeWizard, progress, showNew } from "./wizard.js";
+import { buttons, columns, finding, hands, makeWizard, note, progress, verdict } from "./wizard.js";
 
 const STEPS = ["prepare", "find", "result"];
 const SEEN = "rig-places";
 /** Where this browser keeps what was seen so far, by the camera that blinked. */
+const POLL_S = 2;
 const BLINK_S = 60;
 const PICTURES_WITHIN_MS = 20_000;
 
@@ -22,11 +24,11 @@ export function mountPlaces(place) {
   let seen = JSON.parse(localStorage.getItem(SEEN) ?? "{}");
   let step = Object.keys(seen).length === 0 ? "prepare" : "find";
   let lit = null, live = null, isTakingPictures = false; // `lit`: the camera that blinks, and until when
-  const again = poll(2, async (isCurrent) => {
+  const again = poll(place, POLL_S, async () => {
     rig ??= await rigInUse();
     configured ??= await get("/config").then(({ settings }) => settings.rig.cameras ?? [], () => []);
     [{ items: cameras }, acquisition] = await Promise.all([get("/cameras"), get("/acquisition")]);
-    if (isCurrent()) render();
+    render();
   });
 
   function render() {
@@ -54,30 +56,29 @@ export function mountPlaces(place) {
   function disarmedNote() {
     if (acquisition.state === "disarmed" || isTakingPictures) return [];
     const stop = () => put("/acquisition", { state: "disarmed" }).then(again);
-    return [element("p", { class: "note" }, element("strong", {}, word("setup.places-armed"))), actionButton("setup.places-disarm", stop, { class: "main" })];
+    return [note("setup.places-armed"), actionButton("setup.places-disarm", stop, { class: "main" })];
   }
 
   function prepareStep() {
-    live = { state: element("div"), begin: actionButton("setup.places-begin", async () => {
+    const begin = () => {
       go("find");
-      await blink();
-    }, { class: "main", disabled: true }) };
-    return [element("p", {}, word("setup.places-what")), hands("setup.places-two-people", "setup.places-production", "setup.places-lamp"), live.state, element("div", { class: "buttons" }, live.begin)];
+      return blink();
+    };
+    live = { state: html.div(), begin: actionButton("setup.places-begin", begin, { class: "main", disabled: true }) };
+    return [html.p(word("setup.places-what")), hands("setup.places-two-people", "setup.places-production", "setup.places-lamp"), live.state, buttons(live.begin)];
   }
 
   function findStep() {
-    live = { state: element("div"), status: element("div", { role: "status", class: "asked" }), tiles: element("div", { class: "rig-tiles" }), drawings: element("div", { class: "drawings" }), done: element("div") };
+    live = { state: html.div(), status: html.div({ role: "status", class: "asked" }), tiles: html.div({ class: "rig-tiles" }), drawings: html.div({ class: "drawings" }), done: html.div() };
     return [
       live.state,
       live.status,
-      element(
-        "div",
-        { class: "buttons" },
+      buttons(
         actionButton("setup.places-blink", blink, { class: "main" }),
         actionButton("setup.places-none-blinks", noneBlinks),
         actionButton("setup.places-back", back),
         actionButton("setup.places-pictures", takePictures),
-        actionButton("setup.places-to-result", async () => go("result")),
+        actionButton("setup.places-to-result", () => go("result")),
       ),
       live.done,
       live.drawings,
@@ -101,11 +102,16 @@ export function mountPlaces(place) {
     render();
   }
 
-  async function noneBlinks() {
-    if (lit === null) return;
+  /** Remember what was seen of the camera that blinks. */
+  function answer(found) {
     const { camera, serial, address } = lit;
     lit = null;
-    remember(camera, { serial, address, cause: "unseen", problem: word("setup.places-unseen") });
+    remember(camera, { serial, address, ...found });
+  }
+
+  async function noneBlinks() {
+    if (lit === null) return;
+    answer({ cause: "unseen", problem: word("setup.places-unseen") });
     await blink();
   }
 
@@ -119,9 +125,7 @@ export function mountPlaces(place) {
 
   async function choose(chosen) {
     if (lit === null) return;
-    const { camera, serial, address } = lit;
-    lit = null;
-    remember(camera, { serial, address, place: chosen });
+    answer({ place: chosen });
     await blink().catch((error) => setText(live.status, explained(error)));
   }
 
@@ -147,14 +151,12 @@ export function mountPlaces(place) {
   function showFinding() {
     if (lit !== null && lit.until < Date.now()) lit.isOver = true;
     const n = Object.keys(seen).length;
-    showNew(live.status, [lit, waiting()[0]], () => [
-      element("p", {}, asked()),
-    ]);
-    showNew(live.done, [n, cameras.length], () => [progress(word("setup.places-progress", { n, of: cameras.length }), n, cameras.length)]);
+    showNew(live.status, [lit, waiting()[0]], () => html.p(asked()));
+    showNew(live.done, [n, cameras.length], () => progress(word("setup.places-progress", { n, of: cameras.length }), n, cameras.length));
     const marks = new Map(Object.values(seen).filter((each) => each.place).map((each) => [each.place, each]));
     showNew(live.drawings, [lit !== null, [...marks.keys()]], () => [
-      element("figure", {}, fromAbove(rig, marks, choose), element("figcaption", {}, word("setup.places-above"))),
-      element("figure", {}, fromTheSide(rig, marks, choose), element("figcaption", {}, word("setup.places-side"))),
+      html.figure(fromAbove(rig, marks, choose), html.figcaption(word("setup.places-above"))),
+      html.figure(fromTheSide(rig, marks, choose), html.figcaption(word("setup.places-side"))),
     ]);
     showNew(live.tiles, [lit !== null, seen, cameras.map(({ id, frames }) => [id, frames])], () => rig.layers.map(layerRow));
   }
@@ -166,7 +168,7 @@ export function mountPlaces(place) {
 
   function layerRow(layer, n) {
     const name = word("setup.places-layer", { n: n + 1, of: rig.layers.length, elevation: number(layer[0].elevation_deg) });
-    return element("section", { class: "layer", "aria-label": name }, element("h3", {}, name), element("div", { class: "tiles" }, ...layer.map(tile)));
+    return html.section({ class: "layer", "aria-label": name }, html.h3(name), html.div({ class: "tiles" }, layer.map(tile)));
   }
 
   function tile({ id, azimuth_deg: azimuth }) {
@@ -174,62 +176,59 @@ export function mountPlaces(place) {
     const shown = here.length > 0 ? here[0][0] : id;
     const camera = cameras.find((each) => each.id === shown);
     const words = here.length === 0 ? word("setup.places-not-yet") : here.map(([name, { serial }]) => `${serial ?? name}`).join(" + ");
-    return element(
-      "button",
-      { type: "button", class: here.length === 0 ? "tile" : "tile found", "data-place": id, disabled: lit === null, onclick: () => choose(id) },
-      element("strong", {}, id),
-      element("span", {}, `${number((azimuth + 360) % 360)}°`),
-      camera?.frames > 0 ? element("img", { src: `${BASE}/cameras/${shown}/snapshot.png?frame=${camera.frames}`, alt: word("setup.places-picture", { camera: shown }) }) : element("span", { class: "no-picture" }, word("setup.places-no-picture")),
-      element("span", { class: "serial" }, here.length === 0 ? "" : "✓ ", words),
+    return html.button({ type: "button", class: here.length === 0 ? "tile" : "tile found", "data-place": id, disabled: lit === null, onclick: () => choose(id) },
+      html.strong(id),
+      html.span(`${number((azimuth + 360) % 360)}°`),
+      camera?.frames > 0 ? html.img({ src: `${BASE}/cameras/${shown}/snapshot.png?frame=${camera.frames}`, alt: word("setup.places-picture", { camera: shown }) }) : html.span({ class: "no-picture" }, word("setup.places-no-picture")),
+      html.span({ class: "serial" }, here.length === 0 ? "" : "✓ ", words),
     );
   }
 
   function resultStep() {
     const { rows, findings } = conclude(seen, rig, cameras, configured);
-    const text = snippet(rows, configured);
-    const file = element("textarea", { readonly: true, rows: 16, spellcheck: "false", "aria-label": word("setup.places-snippet") });
-    file.value = text;
-    const copied = element("span", { role: "status" });
+    const file = html.textarea({ readonly: true, rows: 16, spellcheck: "false", "aria-label": word("setup.places-snippet") }, snippet(rows, configured));
+    const anew = () => {
+      seen = {};
+      localStorage.removeItem(SEEN);
+      go("prepare");
+    };
     return [
-      element("p", { class: findings.length === 0 ? "verdict good" : "verdict bad" }, word(findings.length === 0 ? "setup.places-agree" : "setup.places-contradict", { n: findings.length })),
-      findings.length > 0 && element("ul", { class: "findings" }, ...findings.map(({ code, values, detail }) => element("li", { class: "fatal" }, element("strong", {}, word(`setup.place-finding-${code}`, values)), detail && element("small", {}, detail)))),
-      element("div", { class: "columns" }, placeTable(rows), element("div", {}, element("h3", {}, word("setup.places-snippet")), file, element("div", { class: "buttons" }, copyButton(file, copied), downloadLink(text), copied))),
-      element("h3", {}, word("setup.places-run-next")),
-      element("ol", { class: "hands" }, ...["check", "restart", "again", "calibrate"].map((key) => element("li", {}, word(`setup.places-then-${key}`)))),
-      element("pre", {}, "stonefall check-config /etc/stonefall/stonefall.toml\nsudo systemctl restart stonefall\nstonefall cameras"),
-      element(
-        "div",
-        { class: "buttons" },
-        actionButton("setup.places-continue", async () => go("find")),
-        actionButton("setup.places-anew", async () => {
-          seen = {};
-          localStorage.removeItem(SEEN);
-          go("prepare");
-        }),
-        element("a", { class: "button", href: "#calibration" }, word("setup.wizard-calibration")),
+      verdict(findings.length === 0, word(findings.length === 0 ? "setup.places-agree" : "setup.places-contradict", { n: findings.length })),
+      findings.length > 0 && html.ul({ class: "findings" }, findings.map(({ code, values, detail }) => finding(html.strong(word(`setup.place-finding-${code}`, values)), detail))),
+      html.div({ class: "columns" }, placeTable(rows), html.div(html.h3(word("setup.places-snippet")), file, copyButtons(file))),
+      html.h3(word("setup.places-run-next")),
+      html.ol({ class: "hands" }, ["check", "restart", "again", "calibrate"].map((key) => html.li(word(`setup.places-then-${key}`)))),
+      html.pre("stonefall check-config /etc/stonefall/stonefall.toml\nsudo systemctl restart stonefall\nstonefall cameras"),
+      buttons(
+        actionButton("setup.places-continue", () => go("find")),
+        actionButton("setup.places-anew", anew),
+        html.a({ class: "button", href: "#calibration" }, word("setup.wizard-calibration")),
       ),
     ];
   }
 }
 
 function placeTable(rows) {
-  return element(
-    "table",
-    { class: "places" },
-    element("thead", {}, element("tr", {}, ...["place", "serial", "configured-as"].map((key) => element("th", { scope: "col" }, word(`setup.column-${key}`))))),
-    element("tbody", {}, ...rows.map(({ place, found }) => element("tr", {}, element("th", { scope: "row" }, place), element("td", {}, found.map(({ serial }) => serial ?? "?").join(" + ") || "–"), element("td", {}, found.map(({ camera }) => (camera === place ? "✓" : camera)).join(" + ") || "–")))),
-  );
+  const cells = ({ place, found }) => [
+    rowHead(place),
+    found.map(({ serial }) => serial ?? "?").join(" + ") || "–",
+    found.map(({ camera }) => (camera === place ? "✓" : camera)).join(" + ") || "–",
+  ];
+  return table({ class: "places" }, columns("place", "serial", "configured-as"), rows.map(cells));
 }
 
-/** Return a button that copies; the clipboard's own interface is missing on pages that come without TLS. */
-function copyButton(file, copied) {
+/** Return buttons that copy and download a text; the clipboard's own interface is missing on pages that come without TLS. */
+function copyButtons(file) {
+  const copied = html.span({ role: "status" });
   const copy = () => {
     file.select();
     document.execCommand("copy");
     setText(copied, word("setup.copied"));
   };
-  return element("button", { type: "button", class: "main", onclick: copy }, word("setup.copy"));
+  const address = URL.createObjectURL(new Blob([file.value], { type: "text/plain" }));
+  return buttons(
+    html.button({ type: "button", class: "main", onclick: copy }, word("setup.copy")),
+    html.a({ class: "button", download: "cameras.toml", href: address }, word("setup.download")),
+    copied,
+  );
 }
-
-const downloadLink = (text) =>
-  element("a", { class: "button", download: "cameras.toml", href: URL.createObjectURL(new Blob([text], { type: "text/plain" })) }, word("setup.download"));

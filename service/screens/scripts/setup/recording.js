@@ -1,10 +1,11 @@
 /** The wizard of a recording: the pictures of the next stones, and of some before, as files. */
 
 import { BASE, get, post, remove } from "../api.js";
-import { element, show } from "../dom.js";
+import { poll } from "../asking.js";
+import { html, showNew, table } from "../dom.js";
+import { actionButton, askFirst, field, makeForm } from "../forms.js";
 import { number, span, time, word } from "../words.js";
-import { poll } from "./polling.js";
-import { actionButton, field, hands, makeForm, makeWizard, progress, seeingNote, showNew } from "./wizard.js";
+import { buttons, columns, hands, makeWizard, progress, seeingNote, verdict } from "./wizard.js";
 
 const STEPS = ["prepare", "record", "done"];
 const POLL_S = 1;
@@ -14,12 +15,9 @@ const GOALS = "recording-goals";
 /** Show the wizard in `place`. */
 export function mountRecording(place) {
   const wizard = makeWizard(place, "recording", STEPS);
-  const past = element("div", { class: "card" });
-  show(wizard.below, past);
   let followed = null, live = null;
-  const again = poll(POLL_S, async (isCurrent) => {
+  const again = poll(place, POLL_S, async () => {
     const [{ items }, health] = await Promise.all([get("/recordings"), get("/health")]);
-    if (!isCurrent()) return;
     const running = items.find(({ state }) => state === "recording");
     const free = health.checks.disk?.observed_value ?? null;
     followed = running?.name ?? followed;
@@ -29,16 +27,16 @@ export function mountRecording(place) {
       showRunning(running, free);
     } else if (ended !== undefined) wizard.enter("done", () => doneStep(ended));
     else wizard.enter("prepare", () => prepareStep(items, free));
-    showPast(items);
+    wizard.showPast(items, () => past(items));
   });
 
   function prepareStep(items, free) {
     const known = items.filter(({ bundles }) => bundles > 0);
     const bundle = known.length === 0 ? null : known.reduce((sum, { bytes }) => sum + bytes, 0) / known.reduce((sum, { bundles }) => sum + bundles, 0);
     return [
-      element("p", {}, word("setup.recording-what")),
+      html.p(word("setup.recording-what")),
       hands("setup.recording-production", "setup.recording-feed"),
-      element("p", {}, word("setup.recording-free", { size: size(free) }), bundle !== null && ` ${word("setup.recording-each", { size: size(bundle), n: number(Math.floor(free / bundle)) })}`),
+      html.p(word("setup.recording-free", { size: size(free) }), bundle !== null && ` ${word("setup.recording-each", { size: size(bundle), n: number(Math.floor(free / bundle)) })}`),
       makeForm(
         "setup.recording-start",
         async ({ name, count, duration, before }) => {
@@ -48,9 +46,7 @@ export function mountRecording(place) {
           await again();
         },
         field("setup.recording-name", { name: "name", required: true, pattern: "[A-Za-z0-9_\\-]{1,64}", value: `rec-${new Date().toISOString().slice(0, 19).replaceAll(":", "-")}` }, "setup.recording-name-hint"),
-        element(
-          "div",
-          { class: "fields" },
+        html.div({ class: "fields" },
           field("setup.recording-count", { name: "count", type: "number", min: 1, max: 1_000_000, value: 100 }, "setup.recording-count-hint"),
           field("setup.recording-duration", { name: "duration", type: "number", min: 0.1, max: 1440, step: "any" }, "setup.recording-duration-hint"),
           field("setup.recording-before", { name: "before", type: "number", min: 0, max: 1000, value: 0, required: true }, "setup.recording-before-hint"),
@@ -60,12 +56,12 @@ export function mountRecording(place) {
   }
 
   function recordStep({ name }) {
-    live = element("div", { class: "live" });
+    live = html.div({ class: "live" });
     return [
       seeingNote(),
-      element("p", {}, word("setup.recording-running", { name })),
+      html.p(word("setup.recording-running", { name })),
       live,
-      element("div", { class: "buttons" }, actionButton("setup.recording-stop", () => post(`/recordings/${name}/stop`).then(again), { class: "main" })),
+      buttons(actionButton("setup.recording-stop", () => post(`/recordings/${name}/stop`).then(again), { class: "main" })),
     ];
   }
 
@@ -75,69 +71,43 @@ export function mountRecording(place) {
     showNew(live, [bundles, bytes, free, Math.round(elapsed_s)], () => [
       goal?.name === name && goal.count !== null && progress(word("setup.recording-of-count", { n: number(stones), count: number(goal.count + goal.before) }), stones, goal.count + goal.before),
       goal?.name === name && goal.duration_s !== null && progress(word("setup.recording-of-duration", { span: span(elapsed_s), duration: span(goal.duration_s) }), elapsed_s, goal.duration_s),
-      element("p", {}, word("setup.recording-so-far", { n: number(bundles), size: size(bytes), span: span(elapsed_s), free: size(free) })),
+      html.p(word("setup.recording-so-far", { n: number(bundles), size: size(bytes), span: span(elapsed_s), free: size(free) })),
     ]);
   }
 
-  function doneStep(recording) {
-    const { name, state, bundles, bytes, ended_by: endedBy, reason } = recording;
+  function doneStep({ name, state, bundles, bytes, ended_by: endedBy, reason }) {
+    const recordAgain = () => {
+      followed = null;
+      return again();
+    };
     return [
-      element("p", { class: state === "complete" ? "verdict good" : "verdict bad" }, word(`setup.recording-end-${state}`, { name })),
-      reason !== null && element("p", { class: "problem" }, reason),
-      endedBy !== null && element("p", {}, word(`setup.recording-ended-${endedBy}`), " ", word("setup.recording-has", { n: number(bundles), size: size(bytes) })),
-      element(
-        "div",
-        { class: "buttons" },
-        state === "complete" && download(name, "main"),
-        actionButton("setup.recording-again", async () => {
-          followed = null;
-          await again();
-        }),
-      ),
-      state === "complete" && element("p", { class: "weak" }, word("setup.recording-next")),
+      verdict(state === "complete", word(`setup.recording-end-${state}`, { name })),
+      reason !== null && html.p({ class: "problem" }, reason),
+      endedBy !== null && html.p(word(`setup.recording-ended-${endedBy}`), " ", word("setup.recording-has", { n: number(bundles), size: size(bytes) })),
+      buttons(state === "complete" && download(name, "main"), actionButton("setup.recording-again", recordAgain)),
+      state === "complete" && html.p({ class: "weak" }, word("setup.recording-next")),
     ];
   }
 
-  function showPast(items) {
-    showNew(past, items, () => [
-      element("h2", {}, word("setup.recordings")),
-      items.length === 0
-        ? element("p", { class: "weak" }, word("setup.recording-none"))
-        : element(
-            "table",
-            {},
-            element("thead", {}, element("tr", {}, ...["recording-name", "begun", "recording-stones", "recording-size", "state", "detail"].map((key) => element("th", { scope: "col" }, word(`setup.column-${key}`))))),
-            element("tbody", {}, ...items.map(row).reverse()),
-          ),
-    ]);
+  function past(items) {
+    const heads = columns("recording-name", "begun", "recording-stones", "recording-size", "state", "detail");
+    const rows = items.map(({ name, created_at: at, bundles, bytes, state }) => {
+      const actions = html.td({ class: "cell-buttons" }, state === "complete" && download(name), state !== "recording" && deletion(name));
+      return [name, time(at), number(bundles), size(bytes), word(`setup.recording-state-${state}`), actions];
+    });
+    return [html.h2(word("setup.recordings")), items.length === 0 ? html.p({ class: "weak" }, word("setup.recording-none")) : table({}, heads, rows.reverse())];
   }
-
-  const row = ({ name, created_at: at, bundles, bytes, state }) =>
-    element(
-      "tr",
-      {},
-      element("td", {}, name),
-      element("td", {}, time(at)),
-      element("td", {}, number(bundles)),
-      element("td", {}, size(bytes)),
-      element("td", {}, word(`setup.recording-state-${state}`)),
-      element("td", { class: "cell-buttons" }, state === "complete" && download(name), state !== "recording" && deletion(name)),
-    );
 
   /** Return a button that must be pressed twice: what it deletes is gone. */
   function deletion(name) {
-    const place = element("span", { class: "action" });
-    const ask = () => {
-      show(place, actionButton("setup.recording-delete-sure", () => remove(`/recordings/${name}`).then(again), { class: "danger", "aria-label": `${word("setup.recording-delete-sure")} ${name}` }));
-      place.querySelector("button").focus();
-    };
-    show(place, element("button", { type: "button", onclick: ask, "aria-label": `${word("setup.recording-delete")} ${name}` }, word("setup.recording-delete")));
-    return place;
+    const label = (key) => ({ "aria-label": `${word(key)} ${name}` });
+    const remover = () => actionButton("setup.recording-delete-sure", () => remove(`/recordings/${name}`).then(again), { class: "danger", ...label("setup.recording-delete-sure") });
+    return askFirst("setup.recording-delete", remover, label("setup.recording-delete"));
   }
 }
 
 const download = (name, kind = "") =>
-  element("a", { class: `button ${kind}`, href: `${BASE}/recordings/${name}.tar`, download: `${name}.tar`, "aria-label": `${word("setup.recording-download")} ${name}` }, word("setup.recording-download"));
+  html.a({ class: `button ${kind}`, href: `${BASE}/recordings/${name}.tar`, download: `${name}.tar`, "aria-label": `${word("setup.recording-download")} ${name}` }, word("setup.recording-download"));
 
 /** Return a number of bytes in words. */
 function size(bytes) {

@@ -18,9 +18,9 @@ from service.health.alarms.alarm import ANNOUNCED
 from service.health.alarms.rules import Priority
 from service.recording.live_recording import EndedBy, RecordingState
 from service.results.fields import LossReason, Outcome, Verified
+from service.web.routes.screens import installed_screens
 
 FOLDER = Path(screens.__file__).parent
-SOURCES = [path for kind in ("scripts/**/*.js", "pages/*.html") for path in sorted(FOLDER.glob(kind))]
 WORDS = {
     language: json.loads((FOLDER / f"words/{language}.json").read_text(encoding="utf-8"))
     for language in Language
@@ -30,11 +30,13 @@ LITERAL = re.compile(rf"""["'`]((?:{PREFIXES})\.[^"'`\s]+)["'`]""")
 PLACE = re.compile(r"\{(\w+)\}")
 
 
-def used() -> dict[str, list[Path]]:
-    """The keys that scripts and pages name; what is put into a key is `${...}`."""
-    found: dict[str, list[Path]] = {}
-    for path in SOURCES:
-        for key in LITERAL.findall(path.read_text(encoding="utf-8")):
+def used() -> dict[str, list[str]]:
+    """The keys that scripts and pages name, each with where; what is put into a key is `${...}`."""
+    shown = installed_screens()
+    scripts = {path: file for path, file in shown.files.items() if path.startswith("scripts/")}
+    found: dict[str, list[str]] = {}
+    for path, file in {**scripts, **shown.pages}.items():
+        for key in LITERAL.findall(file.content.decode()):
             found.setdefault(key, []).append(path)
     return found
 
