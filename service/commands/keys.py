@@ -16,7 +16,7 @@ from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
 from service.base.errors import UsageError
 from service.configuration.settings import Settings, load_settings
-from service.web.key_file import KEYS, create_key, read_keys, revoke_key
+from service.store.keys import AccessKey, create_key, revoke_key, stored_keys
 from service.web.settings import Scope
 
 command = typer.Typer(
@@ -87,20 +87,20 @@ def revoke(name: Name, config: Config) -> None:
 def _described(settings: Settings) -> list[dict[str, Any]]:
     """Describe all keys, without their hashes."""
     now = utc_now()
-    never = dict.fromkeys(("created_at", "created_by", "expires_at", "revoked_at", "revoked_by"))
-    configured = [
-        {"name": key.name, "scopes": key.scopes, "state": "valid", **never} for key in settings.api.keys
-    ]
-    stored = [
+    configured = [AccessKey(key.sha256, key.name, key.scopes) for key in settings.api.keys]
+    return [
         {
             "name": key.name,
             "scopes": key.scopes,
             "state": "revoked" if key.revoked_at else "expired" if key.refusal(now) else "valid",
-            **{each: getattr(key, each) for each in never},
+            "created_at": key.created_at,
+            "created_by": key.created_by,
+            "expires_at": key.expires_at,
+            "revoked_at": key.revoked_at,
+            "revoked_by": key.revoked_by,
         }
-        for key in read_keys(settings.store.dir / KEYS)
+        for key in (*configured, *stored_keys(settings.store.dir))
     ]
-    return configured + stored
 
 
 def _require_not_configured(settings: Settings, name: str) -> None:

@@ -21,7 +21,7 @@ from pipeline.views.consistency import ConsistencyParameters
 from pipeline.views.quality import ViewsParameters
 from service.acquisition.empty_rig import EmptyRigParameters
 from service.base.configured_paths import ConfiguredPath
-from service.base.errors import SettingsError, VolumeModelError
+from service.base.errors import SettingsError, StoreError, VolumeModelError
 from service.base.schema import Live
 from service.bundling.parameters import BundlingParameters
 from service.calibration.verification_limits import VerificationParameters
@@ -34,8 +34,8 @@ from service.health.optical_watch import OpticalParameters
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import RecordingsSettings
 from service.store import KEEP_RAW
+from service.store.keys import stored_keys
 from service.store.retention import RetentionLimits
-from service.web.key_file import KEYS, KeyFileError, StoredKey, read_keys
 from service.web.settings import ApiSettings, WithoutKeys
 
 MAX_BYTES = 1_000_000
@@ -176,9 +176,7 @@ def problems(settings: Settings) -> Iterator[str]:
     for name, folder in (("spool.dir", settings.spool.dir), ("store.dir", settings.store.dir)):
         if problem := _write_problem(folder):
             yield f"{name}: {problem}"
-    stored, trouble = _stored_keys(settings.store.dir)
-    is_without_keys = not settings.api.keys and not stored and trouble is None
-    if is_without_keys and not settings.api.may_read_without_keys:
+    if not (settings.api.may_read_without_keys or settings.api.keys or _has_keys(settings)):
         yield (
             f"api.host: every host that reaches {settings.api.host} could read everything, as there is no key: make one"
             " with `stonefall keys create NAME --config FILE`, or say in [api] that"
@@ -186,12 +184,12 @@ def problems(settings: Settings) -> Iterator[str]:
         )
 
 
-def _stored_keys(folder: Path) -> tuple[tuple[StoredKey, ...], str | None]:
-    """Return the keys of a store, or why they cannot be read."""
+def _has_keys(settings: Settings) -> bool:
+    """True when the store has keys, or they cannot be read."""
     try:
-        return read_keys(folder / KEYS), None
-    except KeyFileError as err:
-        return (), str(err)
+        return bool(stored_keys(settings.store.dir))
+    except StoreError:
+        return True
 
 
 def shortcomings(settings: Settings) -> Iterator[str]:
@@ -201,9 +199,10 @@ def shortcomings(settings: Settings) -> Iterator[str]:
         yield f"segmentation.model: {plan.trouble}"
     if plan.provider_trouble is not None:
         yield f"segmentation.providers: {plan.provider_trouble}"
-    _, trouble = _stored_keys(settings.store.dir)
-    if trouble is not None:
-        yield f"api.keys: {trouble}: no key of this file is accepted; mend it, or remove it and create them anew"
+    try:
+        stored_keys(settings.store.dir)
+    except StoreError as err:
+        yield f"api.keys: {err}: no key of the store is accepted"
     yield from delivery_shortcomings(settings.webhooks, settings.file_drop)
 
 

@@ -45,6 +45,7 @@ from service.remeasuring.remeasuring import Remeasuring, new_pool
 from service.results.fields import Result
 from service.store import Store
 from service.store.events import EventType, NewEvent
+from service.store.keys import rename_file, take_over
 from service.store.reads import gate_count
 from service.store.writes import note_calibration
 from service.web.key_ring import KeyRing
@@ -66,6 +67,7 @@ async def build(configured: Configuration, store: Store, reading: Reading, reque
     recorded as lost.
     """
     session = await begin_session(configured.settings, store)
+    rename_file(store.dir, await store.write(take_over, store.dir))
     settings = session.settings
     worker_context = await _worker_context(session)
     watches = _build_watches(session, worker_context.segmentation)
@@ -100,7 +102,7 @@ async def build(configured: Configuration, store: Store, reading: Reading, reque
         configured=configured,
         session=session,
         watches=watches,
-        keys=KeyRing(settings.api.keys, settings.store.dir),
+        keys=KeyRing(settings.api.keys, store),
         recordings=recordings,
         calibrations=calibrations,
         acquisition=_build_acquisition(session, watches, calibrations, recordings, spool),

@@ -86,6 +86,10 @@ def open_history(state_dir: Path) -> None:
                 aside.explain(folder, f"The audit of the database {lacking}")
                 (state_dir / audit.DIGESTS).rename(folder / audit.DIGESTS)
         audit.keep_digests(connection, state_dir, n_kept)
+        if is_new and folder is not None:
+            keep_keys(connection, folder / DATABASE)
+        elif is_new:
+            connection.execute("UPDATE store SET keys_lost = 0")
         instance_id, last_seq = connection.execute("SELECT instance_id, last_seq FROM store").fetchone()
     # the folder of the next result, which a crash left without its row, under any day
     name, particles_dir = particle_id(instance_id, last_seq + 1), state_dir / PARTICLES
@@ -140,6 +144,25 @@ def renumber(
         after = {"entries": chain.n_entries, "digest": chain.digest}
         audit.note(connection, "stonefall", action, subject, before=before, after=after)
     return instance_id, highest
+
+
+def keep_keys(connection: sqlite3.Connection, former: Path) -> None:
+    """Take the keys from the database whose place another one takes; note that they are lost where they cannot be read.
+
+    The keys of a copy are used only then. Sessions of browsers end, as some may have been ended since the copy.
+    """
+    connection.execute("DELETE FROM browser_sessions")
+    connection.execute("UPDATE store SET keys_lost = 1")
+    if not former.is_file():  # a pipe would wait for a writer
+        return
+    # whatever a damaged database raises
+    with suppress(Exception), schema.connect_reader(former) as reader, schema.transaction(connection):
+        keys = reader.execute("SELECT * FROM keys ORDER BY rowid").fetchall()
+        (is_lost,) = reader.execute("SELECT keys_lost FROM store").fetchone() or (1,)
+        if not is_lost:
+            connection.execute("DELETE FROM keys")
+        connection.executemany("INSERT OR REPLACE INTO keys VALUES (?, ?, ?, ?, ?, ?, ?, ?)", keys)
+        connection.execute("UPDATE store SET keys_lost = ?", (is_lost,))
 
 
 def _move_strays(connection: sqlite3.Connection, state_dir: Path, folder: Path) -> None:

@@ -99,12 +99,15 @@ def connect(path: Path) -> sqlite3.Connection:
 @contextmanager
 def connect_reader(path: Path) -> Iterator[sqlite3.Connection]:
     """Open a read-only connection whose queries all see the same state of the database."""
-    connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True, isolation_level=None)
-    try:
+    with closing(reader_of(path)) as connection:
         connection.execute("BEGIN")
         yield connection
-    finally:
-        connection.close()
+
+
+def reader_of(path: Path) -> sqlite3.Connection:
+    """Open a read-only connection, for one thread at a time."""
+    uri = f"{path.absolute().as_uri()}?mode=ro"
+    return sqlite3.connect(uri, uri=True, isolation_level=None, check_same_thread=False)
 
 
 def read(

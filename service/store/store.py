@@ -22,7 +22,7 @@ from service.base.errors import StoreError
 from service.results.fields import LossReason, Result
 from service.store import audit, backups, history, reads, writes
 from service.store.particle_files import RAW, drop_raw, drop_sources, path_of
-from service.store.schema import connect_reader, lock_store, read, transaction
+from service.store.schema import lock_store, read, reader_of, transaction
 from service.store.trouble import StoreTrouble, TroubleCause, trouble_of
 from service.store.writer import StoreWriter
 
@@ -88,8 +88,11 @@ class Store:
         """Number of the session begun by this process, None before `begin_session`."""
         self.is_released = False
         """True while stopping: long polls return at once."""
-        with connect_reader(self.path) as reader:
-            row = reader.execute("SELECT instance_id, last_seq, last_event, first_raw FROM store").fetchone()
+        self._reader_here = reader_of(self.path)
+        self._reader_here.execute("PRAGMA busy_timeout = 0")
+        row = self._reader_here.execute(
+            "SELECT instance_id, last_seq, last_event, first_raw FROM store"
+        ).fetchone()
         self.instance_id: str = row[0]
         """UUID of this history; clients that see another one start the feed again."""
         self.last_seq: int = row[1]
@@ -107,6 +110,7 @@ class Store:
     def close(self) -> None:
         """Finish all writes that the disk takes, then close the database."""
         self._readers.shutdown(cancel_futures=True)
+        self._reader_here.close()
         self._writer.close()
         os.close(self._lock)
 
@@ -315,3 +319,10 @@ class Store:
             if trouble is not None and trouble.cause is TroubleCause.DAMAGED:
                 await run(self._readers, self._writer.hold, trouble)
             raise
+
+    def read_here(self, query: Callable[[sqlite3.Connection], T]) -> T:
+        """Return `query(connection)`, made on the event loop itself: only for what takes microseconds."""
+        try:
+            return query(self._reader_here)
+        except (sqlite3.Error, ValueError) as err:
+            raise StoreError(f"{self.path}: {err}") from err

@@ -1,54 +1,48 @@
 """Sessions of browsers: a cookie that a key was exchanged for, valid as long as the key and for twelve hours unused.
 
-The cookie has the name of its key, when the session began and was last renewed, and a MAC over that and over the key's
-hash: nothing is stored but the secret of the MAC, and those that were ended before their time. A session outlives a
-restart, dies with its key, and a new key of the same name does not wake it.
+Of the cookie only the hash is stored. A session outlives a restart, dies with its key, and a new key of the same name
+does not wake it.
+
+Browsers send cookies with whatever any page asks for, and keep them by the name of the host alone: other ports and, for
+`SameSite`, other hosts of the domain count as ours. So what is written with a cookie must come from a page of our very
+origin, and over TLS the cookie has a name (`__Host-`) that no other host of the domain can set.
 """
 
-import base64
-import binascii
-import hmac
-import json
 import logging
-import os
 import secrets
-import stat
-import threading
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
-from typing import Literal
+import sqlite3
+from dataclasses import astuple, dataclass, replace
 
-from pydantic import TypeAdapter, ValidationError
+from fastapi import Request, Response
 
-from drivers.files.durable import replacing
-from service.web.key_file import StoredKey
-from service.web.settings import ApiKey
+from service.store import Store
+from service.store.keys import AccessKey, sha256_of
+from service.web.problems import Problem
+from service.web.settings import ApiSettings
 
 log = logging.getLogger(__name__)
 
-FILE = "sessions.json"
-SECRET_BYTES = 32
 UNUSED_S = 12 * 3600
 """A session ends when it was not renewed for so long."""
 LONGEST_S = 30 * 24 * 3600
 """And at the latest so long after its beginning: a stolen cookie does not renew itself for ever."""
 AHEAD_S = 300
 """A session from later than this after now is of a clock that was wrong, and might last for years."""
-MAX_COOKIE = 1024
-MAX_ENDED = 10_000
-"""Sessions that were ended and are remembered; beyond, the oldest are forgotten."""
-MAX_BYTES = 1_000_000
+RENEWED_S = 60
+"""Least time between two renewals that are written."""
+MAX_SESSIONS = 10_000
+"""Beyond, those that were begun first end."""
+NAME, NAME_OVER_TLS = "stonefall-session", "__Host-stonefall-session"
+PROXY = "a proxy in front of this service must pass on Host and X-Forwarded-Proto"
+READING = frozenset({"GET", "HEAD"})
 
-Key = ApiKey | StoredKey
 
+@dataclass(frozen=True, slots=True)
+class BrowserSession:
+    """A session, column by column; times are seconds since 1970."""
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SessionCookie:
-    """Contents of the cookie; times are seconds since 1970."""
-
-    key: str  # its name
-    id: str
+    cookie_sha256: str
+    key_sha256: str
     begun_s: int
     renewed_s: int
 
@@ -57,127 +51,118 @@ class SessionCookie:
         """When it ends, unless it is renewed or its key ends before."""
         return min(self.renewed_s + UNUSED_S, self.begun_s + LONGEST_S)
 
-    def is_valid(self, now_s: float) -> bool:
-        """True between its beginning and its end, by a clock that may have been set."""
-        return self.renewed_s - AHEAD_S <= now_s < self.expires_s
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SessionsFile:
-    """The content of the file."""
-
-    secret: str  # hexadecimal
-    format: Literal["stonefall-sessions/1"] = "stonefall-sessions/1"
-    ended: dict[str, int] = field(
-        default_factory=dict
-    )  # id -> when it would have ended, in the order of ending
-
-
-COOKIE = TypeAdapter(SessionCookie)
-CONTENT = TypeAdapter(SessionsFile)
-
 
 class Sessions:
-    """Begins, finds, renews and ends sessions; the file is read when the first is asked for."""
+    """Begins, finds, renews and ends sessions: in memory at once, then in the store."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._content: SessionsFile | None = None
-        self._writing = threading.Lock()
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._sessions = {each.cookie_sha256: each for each in store.read_here(_stored_sessions)}
 
-    def begin(self, key: Key, now_s: float) -> tuple[SessionCookie, str]:
-        """Return a new session of a key, and its cookie; blocks at the first time of a store."""
-        session = SessionCookie(
-            key=key.name, id=secrets.token_hex(16), begun_s=int(now_s), renewed_s=int(now_s)
+    def begin(self, key: AccessKey, now_s: int) -> tuple[BrowserSession, str]:
+        """Return a new session of a key, and its cookie."""
+        self._sessions = {sha256: each for sha256, each in self._sessions.items() if now_s < each.expires_s}
+        over = "DELETE FROM browser_sessions WHERE renewed_s <= ? OR begun_s <= ?"
+        self._write(over, now_s - UNUSED_S, now_s - LONGEST_S)
+        if len(self._sessions) >= MAX_SESSIONS:
+            self.end(next(iter(self._sessions.values())))
+        cookie = secrets.token_urlsafe(32)
+        return self._put(BrowserSession(sha256_of(cookie), key.sha256, now_s, now_s)), cookie
+
+    def find(self, cookie: str, now_s: float) -> BrowserSession | None:
+        """Return the session of a cookie; None if it is not ours or has ended, by a clock that may have been set."""
+        session = self._sessions.get(sha256_of(cookie))
+        is_alive = session is not None and session.renewed_s - AHEAD_S <= now_s < session.expires_s
+        return session if is_alive else None
+
+    def renew(self, session: BrowserSession, now_s: float) -> BrowserSession:
+        """Return the session as it is used now."""
+        if now_s < session.renewed_s + RENEWED_S:
+            return session
+        return self._put(replace(session, renewed_s=int(now_s)))
+
+    def end(self, session: BrowserSession) -> None:
+        """End a session before its time."""
+        self._sessions.pop(session.cookie_sha256, None)
+        self._write("DELETE FROM browser_sessions WHERE cookie_sha256 = ?", session.cookie_sha256)
+
+    def _put(self, session: BrowserSession) -> BrowserSession:
+        self._sessions[session.cookie_sha256] = session
+        self._write("INSERT OR REPLACE INTO browser_sessions VALUES (?, ?, ?, ?)", *astuple(session))
+        return session
+
+    def _write(self, statement: str, *values: str | int) -> None:
+        """Write soon; while the disk refuses, what memory has holds until the daemon ends."""
+        if (trouble := self._store.trouble) is None:
+            self._store.write_later(_execute, statement, values)
+        else:
+            log.error("sessions are not kept: %s", trouble)
+
+
+def _stored_sessions(connection: sqlite3.Connection) -> list[BrowserSession]:
+    rows = connection.execute("SELECT * FROM browser_sessions ORDER BY begun_s")
+    return [BrowserSession(*row) for row in rows]
+
+
+def _execute(connection: sqlite3.Connection, statement: str, values: tuple[str | int, ...]) -> None:
+    connection.execute(statement, values)
+
+
+def session_cookie(request: Request) -> str | None:
+    """Return the cookie of a session; None without one, and if there are several, of which one is not from us."""
+    name = _name(request)
+    found = set()
+    for pair in ";".join(request.headers.getlist("cookie")).split(";"):
+        key, _, value = pair.partition("=")
+        if key.strip() == name:
+            found.add(value.strip())
+    return found.pop() if len(found) == 1 else None
+
+
+def set_session_cookie(request: Request, response: Response, cookie: str, lasts_s: float) -> None:
+    """Set the cookie of a session, for this host alone and hidden from scripts; one that lasts no time is cleared."""
+    response.set_cookie(
+        _name(request),
+        cookie,
+        max_age=max(0, int(lasts_s)),
+        path="/",
+        secure=_is_over_tls(request),
+        httponly=True,
+        samesite="strict",
+    )
+    response.headers["Cache-Control"] = "no-store"
+
+
+def require_own_page(request: Request, settings: ApiSettings) -> None:
+    """Reject cross-origin writes that carry the session cookie (CSRF) with the problem 403.
+
+    Reads do no harm: no other origin is allowed to see an answer, and a browser may follow a link. A write needs the
+    `Origin` that browsers send with each: programs use no cookie.
+    """
+    origin = request.headers.get("origin")
+    if request.method not in READING and not (origin and is_own_origin(request, origin, settings)):
+        detail = (
+            f"with a session only our own pages may write, not {origin!r} ({PROXY}); programs send their key"
         )
-        return session, self._cookie(session, key)
-
-    def renew(self, session: SessionCookie, key: Key, now_s: float) -> tuple[SessionCookie, str]:
-        """Return the session as it is used now, and its cookie."""
-        session = replace(session, renewed_s=max(session.renewed_s, int(now_s)))
-        return session, self._cookie(session, key)
-
-    def find(
-        self, cookie: str, keys_named: Callable[[str], Sequence[Key]], now_s: float
-    ) -> tuple[SessionCookie, Key] | None:
-        """Return the session of a cookie and its key, which may have been revoked; None if it is not ours or has ended.
-
-        The MAC is compared in constant time, and looked at before what it protects is believed.
-        """
-        payload, _, mac = cookie.partition(".")
-        if len(cookie) > MAX_COOKIE:
-            return None
-        try:
-            session = COOKIE.validate_json(_decoded(payload), strict=True)
-            given = _decoded(mac)
-        except (ValueError, ValidationError):
-            return None
-        for key in keys_named(session.key):
-            if hmac.compare_digest(given, self._mac(payload, key)):
-                is_alive = session.is_valid(now_s) and session.id not in self._known().ended
-                return (session, key) if is_alive else None
-        return None
-
-    def end(self, session: SessionCookie, now_s: float) -> None:
-        """End a session before its time, durably; blocks."""
-        with self._writing:
-            known = self._known()
-            latest_s = session.begun_s + LONGEST_S  # it may have been renewed meanwhile
-            ended = {name: until_s for name, until_s in known.ended.items() if until_s > now_s}
-            ended = dict([*ended.items(), (session.id, latest_s)][-MAX_ENDED:])
-            self._content = replace(known, ended=ended)
-            self._write(self._content)
-
-    def _cookie(self, session: SessionCookie, key: Key) -> str:
-        payload = _encoded(json.dumps(asdict(session), separators=(",", ":")).encode())
-        return f"{payload}.{_encoded(self._mac(payload, key))}"
-
-    def _mac(self, payload: str, key: Key) -> bytes:
-        secret = bytes.fromhex(self._known().secret)
-        return hmac.digest(secret, f"stonefall session\n{key.sha256}\n{payload}".encode(), "sha256")
-
-    def _known(self) -> SessionsFile:
-        """Return the content of the file, a new one if there is none, it is damaged, or others could read it."""
-        if self._content is None:
-            try:
-                self._content = self._read()
-            except (OSError, ValueError) as err:
-                if not isinstance(err, FileNotFoundError):
-                    log.error("all browsers must sign in again: %s: %s", self._folder / FILE, err)
-                self._content = SessionsFile(secret=secrets.token_hex(SECRET_BYTES))
-                self._write(self._content)
-        return self._content
-
-    def _read(self) -> SessionsFile:
-        descriptor = os.open(self._folder / FILE, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-        with os.fdopen(descriptor, "rb") as file:
-            if stat.S_IMODE(os.fstat(descriptor).st_mode) & 0o077:
-                raise ValueError("others could read it")
-            text = file.read(MAX_BYTES + 1)
-        content = CONTENT.validate_json(text)
-        if len(bytes.fromhex(content.secret)) != SECRET_BYTES:
-            raise ValueError(f"the secret has not {SECRET_BYTES} bytes")
-        return content
-
-    def _write(self, content: SessionsFile) -> None:
-        """Write the file; while the disk refuses, what it says holds until the daemon ends."""
-        try:
-            with replacing(self._folder / FILE, 0o600) as temporary:
-                temporary.write_text(json.dumps(asdict(content)), encoding="utf-8")
-        except OSError as err:
-            log.error("sessions are not kept: %s: %s", self._folder / FILE, err.strerror)
+        raise Problem(403, "foreign-origin", detail)
 
 
-def _encoded(content: bytes) -> str:
-    return base64.urlsafe_b64encode(content).decode().rstrip("=")
+def is_own_origin(request: Request, origin: str, settings: ApiSettings) -> bool:
+    """True for an origin with the very scheme, host and port of the request, or with a proxy's name for us.
+
+    A proxy that does not pass on the `Host` must have its name in `allowed_hosts`, and the port of its scheme.
+    """
+    scheme, _, netloc = origin.lower().partition("://")
+    if scheme != ("https" if _is_over_tls(request) else "http"):
+        return False
+    names = {request.headers.get("host", "").lower(), *(name.lower() for name in settings.allowed_hosts)}
+    return netloc != "" and netloc in names
 
 
-def _decoded(text: str) -> bytes:
-    """Decode base64url; raise `ValueError` for a text that `_encoded` would write otherwise."""
-    try:
-        content = base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
-    except (binascii.Error, UnicodeEncodeError) as err:
-        raise ValueError(text) from err
-    if _encoded(content) != text:
-        raise ValueError(text)
-    return content
+def _name(request: Request) -> str:
+    return NAME_OVER_TLS if _is_over_tls(request) else NAME
+
+
+def _is_over_tls(request: Request) -> bool:
+    """True when the browser speaks TLS, with the proxy in front of us; a lie harms its teller alone."""
+    return request.headers.get("x-forwarded-proto", request.url.scheme).partition(",")[0].strip() == "https"

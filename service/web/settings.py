@@ -8,9 +8,6 @@ from ipaddress import ip_network
 from service.base.addresses import address_of, is_host, is_loopback
 from service.base.schema import Live
 
-KEY_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
-"""Name of a key that `stonefall keys` creates."""
-
 
 class Scope(StrEnum):
     """Permission that a key can have. None includes another."""

@@ -12,7 +12,7 @@ from support.rest import FakeControl, app_of, client_of
 from service.configuration.settings import load_settings
 from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
 from service.store import Store
-from service.web.key_file import sha256_of
+from service.store.keys import sha256_of
 from service.web.settings import ApiKey, ApiSettings, Scope
 
 

@@ -1,7 +1,7 @@
 """Keys of `stonefall keys` on a served store: known at once, dead at once, never opened by a damaged file."""
 
 import asyncio
-import os
+import json
 from collections.abc import AsyncIterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -11,8 +11,9 @@ import pytest
 from support.rest import FakeControl, app_of, assert_problem, client_of
 
 from pipeline.frames import rfc3339
+from service.base.errors import StoreError
 from service.store import Store
-from service.web.key_file import KEYS, create_key, revoke_key
+from service.store.keys import FILE, create_key, rename_file, revoke_key, sha256_of, take_over
 from service.web.key_guesses import MAX_WRONG
 from service.web.settings import ApiKey, ApiSettings, Scope, WithoutKeys
 
@@ -83,23 +84,64 @@ async def test_guesses_stay_limited(remote: httpx.AsyncClient, state_dir: Path) 
 @pytest.mark.parametrize(
     "content", [b"{", b"", b"[]", b'{"keys": [{"name": "mes"}]}', b"\xff", b" " * 2_000_000]
 )
-async def test_a_damaged_file_opens_nothing_and_configured_keys_still_work(
+async def test_a_damaged_file_of_an_earlier_release_opens_nothing_and_configured_keys_still_work(
     store: Store, control: FakeControl, state_dir: Path, content: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
-    mes = created(state_dir, "mes")
-    sound = await asyncio.to_thread((state_dir / KEYS).read_bytes)
+    await asyncio.to_thread((state_dir / FILE).write_bytes, content)
+    rename_file(state_dir, await store.write(take_over, state_dir))
+    assert caplog.text.count(f"keys: {state_dir / FILE}: ") == 1
+    assert await asyncio.to_thread((state_dir / f"{FILE}.damaged").read_bytes) == content
     for keys, status in (((CONFIGURED,), 200), ((), 401)):
         async with client_of(app_of(store, control, ApiSettings(keys=keys))) as client:
-            assert (await client.get("/results", headers=mes)).status_code == 200
-            await asyncio.to_thread((state_dir / KEYS).write_bytes, content)
-            assert (await client.get("/results", headers=mes)).status_code == 401
             assert (await client.get("/results")).status_code == 401
             assert (await client.get("/results", headers=bearer("test"))).status_code == status
-            assert caplog.text.count(f"keys: {state_dir / KEYS}: ") == 1
-            assert "not accepted" in caplog.text
-            await asyncio.to_thread((state_dir / KEYS).write_bytes, sound)
+    assert "create them anew" in caplog.text
+    mes = created(state_dir, "mes")
+    async with client_of(app_of(store, control)) as client:
+        assert (await client.get("/results", headers=mes)).status_code == 200
+
+
+async def test_keys_of_an_earlier_release_are_taken_over_once(
+    store: Store, remote: httpx.AsyncClient, state_dir: Path
+) -> None:
+    times = {"created_at": "2026-01-01T00:00:00.000Z", "created_by": "ann", "scopes": ["read"]}
+    revoked = {"revoked_at": "2026-02-01T00:00:00.000Z", "revoked_by": "bob"}
+    keys = [
+        {"name": "mes", "sha256": sha256_of("mes"), "expires_at": None, **times},
+        {"name": "old", "sha256": sha256_of("old"), **times, **revoked},
+    ]
+    text = json.dumps({"format": "stonefall-keys/1", "keys": keys})
+    for _ in range(2):  # a file that was put back changes nothing
+        await asyncio.to_thread((state_dir / FILE).write_text, text)
+        rename_file(state_dir, await store.write(take_over, state_dir))
+        assert await asyncio.to_thread((state_dir / f"{FILE}.taken-over").read_text) == text
+        assert not await asyncio.to_thread((state_dir / FILE).exists)
+        assert (await remote.get("/results", headers=bearer("mes"))).status_code == 200
+        dead = await remote.get("/results", headers=bearer("old"))
+        assert_problem(dead, 401, "unauthorized")
+        assert dead.json()["detail"] == f"key 'old' was revoked at {revoked['revoked_at']}"
+        entries = (await remote.get("/audit", headers=bearer("mes"))).json()["items"]
+        assert [(each["who"], each["action"]) for each in entries] == [("stonefall", "keys taken over")]
+        assert [each["revoked_by"] for each in entries[0]["after"]["keys"]] == [None, "bob"]
+        assert "sha256" not in str(entries)
+
+
+async def test_a_store_that_cannot_be_read_opens_nothing_and_keys_that_are_known_stay(
+    store: Store, control: FakeControl, state_dir: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(query: object) -> None:
+        raise StoreError("disk I/O error")
+
+    mes, guest = created(state_dir, "mes"), bearer("guess")
+    async with client_of(app_of(store, control)) as client, client_of(app_of(store, control)) as new:
+        assert (await client.get("/results", headers=mes)).status_code == 200
+        with monkeypatch.context() as patched:
+            patched.setattr(store, "read_here", refuse)
             assert (await client.get("/results", headers=mes)).status_code == 200
-            caplog.clear()
+            assert (await client.get("/results", headers=guest)).status_code == 401
+            for headers in (mes, guest, {}):
+                assert (await new.get("/results", headers=headers)).status_code == 401
+        assert (await new.get("/results", headers=mes)).status_code == 200
 
 
 async def test_without_any_key_other_hosts_may_read_only_when_told_in_words(
@@ -118,7 +160,7 @@ async def test_without_any_key_other_hosts_may_read_only_when_told_in_words(
             mes = created(state_dir, "mes")
             assert (await remote.get("/results")).status_code == 401
             assert (await remote.get("/results", headers=mes)).status_code == 200
-        await asyncio.to_thread(os.unlink, state_dir / KEYS)
+        await store.write(lambda connection: connection.execute("DELETE FROM keys").close())
 
 
 async def test_what_the_command_did_is_in_the_audit_once(

@@ -24,9 +24,9 @@ from service.health.alarms.alarms import Alarms
 from service.lots.lots import LotDefinition, close_lot, open_lot
 from service.lots.products import ProductDefinition, save_product
 from service.store import Store
+from service.store.keys import create_key, revoke_key
 from service.store.schema import read
 from service.web import open_streams
-from service.web.key_file import create_key, revoke_key
 from service.web.settings import Scope
 
 NOW = datetime.now(UTC).replace(hour=12)

@@ -15,19 +15,17 @@ from support.served import served_by
 
 from pipeline.frames import rfc3339
 from service.store import Store
-from service.web.key_file import create_key, revoke_key
+from service.store.keys import AccessKey, create_key, revoke_key, sha256_of
+from service.store.trouble import StoreTrouble, TroubleCause
 from service.web.key_guesses import MAX_WRONG
-from service.web.session_cookies import NAME, NAME_OVER_TLS
-from service.web.sessions import FILE, LONGEST_S, UNUSED_S, SessionCookie, Sessions
-from service.web.settings import ApiKey, ApiSettings, Scope, WithoutKeys
+from service.web.sessions import LONGEST_S, NAME, NAME_OVER_TLS, UNUSED_S, Sessions
+from service.web.settings import ApiSettings, Scope, WithoutKeys
 
 ALL = tuple(Scope)
 HOST = "stonefall.plant:8080"
 OURS = {"Origin": f"http://{HOST}"}
 NAMED = ApiSettings(host="0.0.0.0", allowed_hosts=("stonefall.plant",))  # noqa: S104 - not bound
-KEY = ApiKey(
-    name="office", sha256="9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
-)  # of "test"
+KEY = AccessKey(sha256_of("test"), "office", ("read",))
 ARM = {"state": "armed"}
 
 
@@ -200,19 +198,18 @@ async def test_a_session_dies_with_its_key(
 async def test_a_session_ends_unless_it_is_renewed_and_after_a_month_anyway(
     remote: httpx.AsyncClient, token: str, clock: Clock
 ) -> None:
-    cookie = await signed_in(remote, token)
+    cookie, unused = await signed_in(remote, token), await signed_in(remote, token)
     begun_s = clock.now_s
     clock.now_s = begun_s + UNUSED_S - 1
     renewed = await remote.get("/session", headers=cookie)
     remote.cookies.clear()
-    later = {"Cookie": renewed.headers["Set-Cookie"].partition(";")[0]}
+    assert f"Max-Age={UNUSED_S};" in renewed.headers["Set-Cookie"]
     clock.now_s = begun_s + UNUSED_S + 1
-    assert_problem(await remote.get("/results", headers=cookie), 401, "unauthorized")
-    assert (await remote.get("/results", headers=later)).status_code == 200
+    assert (await remote.get("/results", headers=cookie)).status_code == 200
+    assert_problem(await remote.get("/results", headers=unused), 401, "unauthorized")
     n_renewals = 0
-    while (answer := await remote.get("/session", headers=later)).json()["who"] is not None:
+    while (answer := await remote.get("/session", headers=cookie)).json()["who"] is not None:
         remote.cookies.clear()
-        later = {"Cookie": answer.headers["Set-Cookie"].partition(";")[0]}
         clock.now_s += UNUSED_S / 2
         n_renewals += 1
     assert LONGEST_S - UNUSED_S <= clock.now_s - begun_s <= LONGEST_S + UNUSED_S
@@ -254,38 +251,37 @@ async def test_who_signs_out_is_out_with_every_copy_of_the_cookie(
     assert actions.count("session ended") == 1
 
 
-async def test_the_secret_is_for_the_daemon_alone(
-    remote: httpx.AsyncClient, store: Store, control: FakeControl, state_dir: Path, token: str
-) -> None:
-    cookie = await signed_in(remote, token)
-    path = state_dir / FILE
-    assert path.stat().st_mode & 0o777 == 0o600
-    for spoil in (
-        lambda: path.chmod(0o640),  # somebody may have read it
-        lambda: path.write_text("{"),
-        lambda: path.write_text('{"format": "stonefall-sessions/1", "secret": ""}'),
-        lambda: (path.unlink(), path.symlink_to("/dev/zero")),
-        path.unlink,
-    ):
-        spoil()
-        async with client_of(app_of(store, control, NAMED), "192.0.2.9", HOST) as restarted:
-            assert_problem(await restarted.get("/results", headers=cookie), 401, "unauthorized")
-            cookie = await signed_in(restarted, token)
-        assert path.stat().st_mode & 0o777 == 0o600
-        assert not path.is_symlink()
+async def test_no_cookie_is_stored(remote: httpx.AsyncClient, store: Store, token: str) -> None:
+    cookie = (await signed_in(remote, token))["Cookie"].partition("=")[2]
+    rows = await store.read(
+        lambda connection: connection.execute("SELECT * FROM browser_sessions").fetchall()
+    )
+    assert [row[:2] for row in rows] == [(sha256_of(cookie), sha256_of(token))]
 
 
 async def test_a_disk_that_refuses_keeps_nobody_out(
-    remote: httpx.AsyncClient, token: str, monkeypatch: pytest.MonkeyPatch
+    remote: httpx.AsyncClient, store: Store, token: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(path: Path, mode: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("service.web.sessions.replacing", refuse)
+    monkeypatch.setattr(Store, "trouble", StoreTrouble(TroubleCause.FULL, "no room"))
     cookie = await signed_in(remote, token)
     assert (await remote.get("/results", headers=cookie)).status_code == 200
     assert (await remote.delete("/session", headers={**cookie, **OURS})).status_code == 204
     assert_problem(await remote.get("/results", headers=cookie), 401, "unauthorized")
+
+
+async def test_sessions_are_bounded_and_those_that_ended_are_forgotten(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.web.sessions.MAX_SESSIONS", 3)
+    sessions = Sessions(store)
+    begun = [sessions.begin(KEY, 1_000 + number)[1] for number in range(5)]
+    assert [sessions.find(cookie, 1_010) is not None for cookie in begun] == [False, False, True, True, True]
+    last = sessions.begin(KEY, 1_003 + UNUSED_S)[1]
+    await store.write(lambda connection: None)
+    again = Sessions(store)
+    alive = [again.find(cookie, 1_003 + UNUSED_S) is not None for cookie in (*begun, last)]
+    assert alive == [False, False, False, False, True, True]
+    assert len(again._sessions) == 2
 
 
 async def test_guesses_are_limited_and_dead_cookies_are_none(
@@ -350,9 +346,12 @@ async def test_a_proxy_passes_on_the_name_or_it_is_configured(
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(data=st.data())
-def test_no_other_cookie_is_a_session(tmp_path: Path, data: st.DataObject) -> None:
-    sessions = Sessions(tmp_path)
-    _, cookie = sessions.begin(KEY, 1e9)
+def test_no_other_cookie_is_a_session(
+    store: Store, monkeypatch: pytest.MonkeyPatch, data: st.DataObject
+) -> None:
+    monkeypatch.setattr(Store, "trouble", StoreTrouble(TroubleCause.FULL, "so that memory alone has them"))
+    sessions = Sessions(store)
+    _, cookie = sessions.begin(KEY, 10**9)
     at = data.draw(st.integers(0, len(cookie) - 1))
     other = data.draw(
         st.one_of(
@@ -362,19 +361,7 @@ def test_no_other_cookie_is_a_session(tmp_path: Path, data: st.DataObject) -> No
             st.text(),
         )
     )
-    assert (sessions.find(other, lambda _: [KEY], 1e9) is None) == (other != cookie)
-
-
-def test_the_name_of_another_key_opens_nothing(tmp_path: Path) -> None:
-    """What the cookie says is believed only with the MAC over all of it and over the key's hash."""
-    sessions = Sessions(tmp_path)
-    admin = ApiKey(name="admin", sha256="0" * 64, scopes=ALL)
-    session, cookie = sessions.begin(KEY, 1e9)
-    assert sessions.find(cookie, lambda _: [admin, KEY], 1e9) == (session, KEY)
-    assert sessions.find(cookie, lambda _: [admin], 1e9) is None
-    forged = SessionCookie(key="admin", id=session.id, begun_s=session.begun_s, renewed_s=session.renewed_s)
-    payload = sessions._cookie(forged, admin).partition(".")[0]
-    assert sessions.find(f"{payload}.{cookie.partition('.')[2]}", lambda _: [admin, KEY], 1e9) is None
+    assert (sessions.find(other, 1e9) is None) == (other != cookie)
 
 
 async def test_a_stream_ends_with_its_session(

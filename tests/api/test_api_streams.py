@@ -16,9 +16,9 @@ from service.results.fields import ALWAYS
 from service.store import Store, open_store
 from service.store.event_log import EventLog
 from service.store.events import EventType, NewEvent
+from service.store.keys import create_key, revoke_key
 from service.web import open_streams, streams
 from service.web.connections import READING_S, REQUEST_S
-from service.web.key_file import create_key, revoke_key
 from service.web.settings import ApiSettings, Scope
 
 

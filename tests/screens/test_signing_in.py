@@ -9,7 +9,7 @@ from playwright.sync_api import expect
 from support.browser import Watched, origin_of
 from support.daemon_process import DaemonProcess
 
-from service.web.key_file import create_key
+from service.store.keys import create_key
 from service.web.settings import Scope
 
 REFUSED = re.compile("status of 401")

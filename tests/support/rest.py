@@ -192,9 +192,7 @@ def app_of(
 ) -> FastAPI:
     """Return the application, with a thread in the place of the reading process unless one is given."""
     settings = settings or ApiSettings()
-    return app.create_app(
-        store, control, settings, reading or ReadingThread(), KeyRing(settings.keys, store.dir)
-    )
+    return app.create_app(store, control, settings, reading or ReadingThread(), KeyRing(settings.keys, store))
 
 
 def particle_files(folder: Path) -> dict[str, Path]:

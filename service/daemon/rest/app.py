@@ -66,7 +66,7 @@ def create_app(
         settings=settings,
         reading=reading,
         keys=keys,
-        sessions=Sessions(store.dir),
+        sessions=Sessions(store),
     )
     app.state.overviews = Overviews(store, control, reading)
     app.add_middleware(IdempotentPosts, store=store)  # the innermost: what the others refuse is not kept

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Depends, Header, Query, Request
 
 from service.particles.feeds import RESULT_STREAM, choosing
 from service.particles.routes.results import ChosenFields
-from service.web.auth import Credentials, require
+from service.web.auth import require
 from service.web.context import Context
 from service.web.feeds import EVENT_STREAM, MAX_SEQ
 from service.web.problems import problem_responses
@@ -37,10 +37,10 @@ async def cursor(
 
 
 async def still_allowed(
-    request: Request, context: Context, credentials: Credentials, _: Annotated[None, Depends(may_read)]
+    request: Request, context: Context, _: Annotated[None, Depends(may_read)]
 ) -> StillAllowed:
     """Return the check that the key of the request may still read."""
-    return lambda: may_read(request, context, credentials)
+    return lambda: may_read(request, context)
 
 
 Cursor = Annotated[int, Depends(cursor)]

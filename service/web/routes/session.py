@@ -1,28 +1,27 @@
 """Sign in with a browser: the token of a key is exchanged for the cookie of a session."""
 
-import asyncio
 import time
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from pipeline.frames import rfc3339
-from service.base.schema import TIME
-from service.web.auth import Asker, asker_of, bearer, checked_key, keys_now
+from service.base.schema import ANSWER, REQUEST, OptionalTime
+from service.store.keys import AccessKey
+from service.web.auth import Asker, asker_of, checked_key
 from service.web.context import Context
-from service.web.key_file import StoredKey
 from service.web.problems import Problem, problem_responses
-from service.web.session_cookies import (
+from service.web.sessions import (
     PROXY,
-    clear_session_cookie,
+    BrowserSession,
     is_own_origin,
     require_own_page,
     session_cookie,
     set_session_cookie,
 )
-from service.web.sessions import Key, SessionCookie
 from service.web.settings import Scope
 
 router = APIRouter(prefix="/session", tags=["session"])
@@ -30,37 +29,36 @@ router = APIRouter(prefix="/session", tags=["session"])
 
 async def asker(request: Request, context: Context) -> Asker:
     """Identify the requester, known or not: these resources are open, and `openapi.json` names no key for them."""
-    return await asker_of(request, context, await bearer(request))
+    return asker_of(request, context)
 
 
 Asking = Annotated[Asker, Depends(asker)]
 
 
-class SignIn(BaseModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignIn:
     """The key to sign in with."""
 
-    model_config = ConfigDict(extra="forbid")
+    __pydantic_config__ = REQUEST
 
-    token: Annotated[
-        str,
-        Field(min_length=1, max_length=512, repr=False, description="What `stonefall keys create` printed"),
-    ]
+    token: Annotated[str, Field(min_length=1, max_length=512, repr=False)]
+    """What `stonefall keys create` printed"""
 
 
-class SessionDocument(BaseModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionDocument:
     """Who asks, and what that allows."""
 
-    who: str | None = Field(
-        description="As in the audit: `key NAME`, or `this machine` where no key is needed; null: unknown"
-    )
-    scopes: list[Scope] = Field(description="What may be asked for: `read`, `operate`, `configure`")
-    expires_at: str | None = Field(
-        description="When the session ends unless it is renewed, RFC 3339 UTC; null without one",
-        json_schema_extra=TIME,
-    )
-    has_keys: bool = Field(
-        description="Whether there are keys to sign in with; while there is none, only this machine may write"
-    )
+    __pydantic_config__ = ANSWER
+
+    who: str | None
+    """As in the audit: `key NAME`, or `this machine` where no key is needed; null: unknown"""
+    scopes: list[Scope]
+    """What may be asked for: `read`, `operate`, `configure`"""
+    expires_at: OptionalTime
+    """When the session ends unless it is renewed, RFC 3339 UTC; null without one"""
+    has_keys: bool
+    """Whether there are keys to sign in with; while there is none, only this machine may write"""
 
 
 @router.post("", response_model=SessionDocument, responses=problem_responses(401, 403, 429))
@@ -74,10 +72,11 @@ async def sign_in(request: Request, response: Response, context: Context, wanted
     origin = request.headers.get("origin")
     if origin is not None and not is_own_origin(request, origin, context.settings):
         raise Problem(403, "foreign-origin", f"a page of {origin!r} must not sign in here; {PROXY}")
-    await keys_now(context)
+    context.keys.refresh()
     key = checked_key(request, context, wanted.token)
-    session, cookie = context.sessions.begin(key, time.time())
-    set_session_cookie(request, response, cookie, session, time.time())
+    now_s = int(time.time())
+    session, cookie = context.sessions.begin(key, now_s)
+    set_session_cookie(request, response, cookie, session.expires_s - now_s)
     document = _document(key, session)
     await context.store.note_change(
         f"key {key.name}", "session begun", key.name, after={"expires_at": document.expires_at}
@@ -92,12 +91,13 @@ async def session(request: Request, response: Response, context: Context, asking
     A page asks once in an hour. 401 only for an invalid bearer token.
     """
     response.headers["Cache-Control"] = "no-store"
-    if asking.key is not None and asking.session is not None:
-        renewed, cookie = context.sessions.renew(asking.session, asking.key, time.time())
-        set_session_cookie(request, response, cookie, renewed, time.time())
+    cookie = session_cookie(request)
+    if asking.key is not None and asking.session is not None and cookie is not None:
+        renewed = context.sessions.renew(asking.session, now_s := int(time.time()))
+        set_session_cookie(request, response, cookie, renewed.expires_s - now_s)
         return _document(asking.key, renewed)
-    if session_cookie(request) is not None and asking.key is None:
-        clear_session_cookie(request, response)
+    if cookie is not None and asking.key is None:
+        set_session_cookie(request, response, "", 0)
     return SessionDocument(
         who=asking.who,
         scopes=[scope for scope in Scope if scope in asking.scopes],
@@ -110,20 +110,22 @@ async def session(request: Request, response: Response, context: Context, asking
 async def sign_out(request: Request, context: Context, asking: Asking) -> Response:
     """Sign out: end the session of this browser and of each copy of its cookie; without one, nothing happens."""
     response = Response(status_code=204)
-    if asking.session is not None:
+    if asking.session is not None and asking.key is not None:
         require_own_page(request, context.settings)
-        await asyncio.to_thread(context.sessions.end, asking.session, time.time())
-        await context.store.note_change(
-            str(asking.who), "session ended", asking.session.key, after={"by": asking.who}
-        )
-    clear_session_cookie(request, response)
+        context.sessions.end(asking.session)
+        who = f"key {asking.key.name}"
+        await context.store.note_change(who, "session ended", asking.key.name, after={"by": who})
+    set_session_cookie(request, response, "", 0)
     return response
 
 
-def _document(key: Key, session: SessionCookie) -> SessionDocument:
+def _document(key: AccessKey, session: BrowserSession) -> SessionDocument:
     expires_at = rfc3339(datetime.fromtimestamp(session.expires_s, UTC))
-    if isinstance(key, StoredKey) and key.expires_at is not None:
+    if key.expires_at is not None:
         expires_at = min(expires_at, key.expires_at)
     return SessionDocument(
-        who=f"key {key.name}", scopes=list(key.scopes), expires_at=expires_at, has_keys=True
+        who=f"key {key.name}",
+        scopes=[Scope(each) for each in key.scopes],
+        expires_at=expires_at,
+        has_keys=True,
     )

@@ -11,11 +11,11 @@ from drivers.errors import RecordingError
 from drivers.files.bounded import read_bounded
 from drivers.files.durable import read_json
 from drivers.files.png_file import read_png
-from service.base.errors import SettingsError, VolumeModelError
+from service.base.errors import SettingsError, StoreError, VolumeModelError
 from service.configuration.settings import load_settings
 from service.configuration.volume_models import read_volume_model
 from service.delivery.settings import WebhookEndpoint
-from service.web.key_file import KeyFileError, read_keys
+from service.store.keys import keys_of_file
 
 
 def secret_of(path: Path) -> list[bytes]:
@@ -26,7 +26,7 @@ READERS = [
     (load_settings, SettingsError),
     (read_json, RecordingError),
     (lambda path: read_png(path, (1280, 1024)), RecordingError),
-    (read_keys, KeyFileError),
+    (keys_of_file, StoreError),
     (read_volume_model, VolumeModelError),
     (secret_of, ValueError),
 ]

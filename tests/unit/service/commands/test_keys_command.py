@@ -1,8 +1,7 @@
-"""`stonefall keys`: the file that the daemon reads, and what is printed."""
+"""`stonefall keys`: what it changes in the store, and what is printed."""
 
 import json
 import os
-import stat
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -12,9 +11,10 @@ import pytest
 from support.configurations import REPLAY
 from typer.testing import CliRunner, Result
 
-from drivers.files.durable import unfinished
+from service.base.errors import StoreError
 from service.commands.cli import build_app
-from service.web.key_file import KEYS, LOCK, PREFIX, KeyFileError, create_key, read_keys, sha256_of
+from service.store.history import DATABASE
+from service.store.keys import FILE, PREFIX, create_key, sha256_of, stored_keys
 from service.web.settings import Scope
 
 CONFIG = f"""
@@ -47,11 +47,9 @@ def test_a_token_is_printed_once_and_only_its_hash_is_kept(folder: Path) -> None
     assert token.startswith(PREFIX)
     assert len(token) >= len(PREFIX) + 43  # 256 bits
     assert "not shown again" in answer.stderr
-    (key,) = read_keys(folder / KEYS)
+    (key,) = stored_keys(folder)
     assert (key.sha256, key.scopes, key.expires_at) == (sha256_of(token), (Scope.READ, Scope.OPERATE), None)
-    assert token not in (folder / KEYS).read_text()
-    for name in (KEYS, LOCK):
-        assert stat.S_IMODE((folder / name).stat().st_mode) == 0o600
+    assert token.encode() not in (folder / DATABASE).read_bytes()
     table = keys(folder, "list").stdout
     assert token not in table
     assert key.sha256 not in table
@@ -104,54 +102,68 @@ def test_wrong_requests_say_why_and_change_nothing(
     folder: Path, arguments: tuple[str, ...], complaint: str | None
 ) -> None:
     keys(folder, "create", "first")
-    before = (folder / KEYS).read_bytes()
+    before = stored_keys(folder)
     answer = keys(folder, *arguments)
     if complaint is None:
         assert answer.exit_code == 0
         return
     assert answer.exit_code == 1
     assert complaint in str(answer.exception)
-    assert (folder / KEYS).read_bytes() == before
+    assert stored_keys(folder) == before
 
 
 def test_a_scope_that_is_none_is_wrong_usage(folder: Path) -> None:
     assert keys(folder, "create", "mes", "--scope", "everything").exit_code == 2
-    assert not (folder / KEYS).exists()
+    assert not folder.exists()
 
 
 def test_commands_at_once_lose_no_key(folder: Path) -> None:
+    create_key(folder, "first", (Scope.READ,), None, "root")
     with ThreadPoolExecutor(8) as threads:
         names = [f"key{number}" for number in range(24)]
         list(threads.map(lambda name: create_key(folder, name, (Scope.READ,), None, "root"), names))
-    assert {key.name for key in read_keys(folder / KEYS)} == set(names)
+    assert {key.name for key in stored_keys(folder)} == {"first", *names}
 
 
-def test_a_damaged_file_is_named_and_not_replaced(folder: Path) -> None:
+def test_a_damaged_store_is_named_and_not_replaced(folder: Path) -> None:
     keys(folder, "create", "mes")
-    (folder / KEYS).write_text('{"format": "stonefall-keys/1", "keys": [{"name": "mes", "sha256": "hush"}]}')
+    (folder / DATABASE).write_bytes(4096 * b"hush")
     for arguments in (("create", "other"), ("list",), ("revoke", "mes")):
         answer = keys(folder, *arguments)
-        assert isinstance(answer.exception, KeyFileError)
-        assert f"{folder / KEYS}: keys.0." in str(answer.exception)
-        assert "hush" not in str(answer.exception)
-    assert "hush" in (folder / KEYS).read_text()
+        assert isinstance(answer.exception, StoreError)
+        assert str(answer.exception) == f"{folder / DATABASE}: file is not a database"
+    assert (folder / DATABASE).read_bytes() == 4096 * b"hush"
 
 
-def test_what_a_killed_command_left_is_no_hindrance_and_is_not_followed(folder: Path) -> None:
+def test_the_file_of_an_earlier_release_is_read_and_taken_over(folder: Path) -> None:
     folder.mkdir()
-    elsewhere = folder.parent / "elsewhere"
-    elsewhere.write_text("of somebody else")
-    unfinished(folder / KEYS).symlink_to(elsewhere)
-    assert keys(folder, "create", "mes").exit_code == 0
-    assert elsewhere.read_text() == "of somebody else"
-    assert [key.name for key in read_keys(folder / KEYS)] == ["mes"]
+    key = {"name": "mes", "sha256": 64 * "0", "scopes": ["read"], "created_by": "ann"}
+    text = json.dumps(
+        {"format": "stonefall-keys/1", "keys": [{**key, "created_at": "2026-01-01T00:00:00.000Z"}]}
+    )
+    (folder / FILE).write_text(text)
+    assert listed(folder).keys() == {"scada", "mes"}
+    assert "there is a key 'mes'" in str(keys(folder, "create", "mes").exception)
+    assert keys(folder, "revoke", "mes").exit_code == 0
+    assert listed(folder)["mes"]["state"] == "revoked"
+    assert not (folder / FILE).exists()
+    assert (folder / f"{FILE}.taken-over").read_text() == text
+
+
+def test_a_damaged_file_of_an_earlier_release_is_named_without_its_hashes(folder: Path) -> None:
+    folder.mkdir()
+    (folder / FILE).write_text('{"format": "stonefall-keys/1", "keys": [{"name": "mes", "sha256": "hush"}]}')
+    answer = keys(folder, "list")
+    assert f"{folder / FILE}: 0." in str(answer.exception)
+    assert "hush" not in str(answer.exception)
 
 
 def test_what_root_writes_belongs_to_the_daemon(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder.mkdir()
-    given: list[tuple[int, int]] = []
+    became: list[int] = []
     monkeypatch.setattr(os, "geteuid", lambda: 0)
-    monkeypatch.setattr(os, "fchown", lambda descriptor, uid, gid: given.append((uid, gid)))
+    monkeypatch.setattr(os, "setegid", became.append)
+    monkeypatch.setattr(os, "seteuid", became.append)
     create_key(folder, "mes", (Scope.READ,), None, "root")
     owner = folder.stat()
-    assert given == 2 * [(owner.st_uid, owner.st_gid)]  # the file and its lock
+    assert became == [owner.st_gid, owner.st_uid]

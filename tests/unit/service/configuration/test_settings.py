@@ -28,7 +28,7 @@ from service.configuration.rig_settings import AravisRigSettings, CameraPlace
 from service.configuration.settings import Settings, load_settings, problems, shortcomings
 from service.configuration.volume_models import read_volume_model, write_volume_model
 from service.delivery.settings import FileDropSettings, WebhookEndpoint
-from service.web.key_file import KEYS, create_key, revoke_key
+from service.store.keys import FILE, create_key, revoke_key
 from service.web.settings import ApiKey, Scope
 
 DEPLOY = Path(__file__).parents[4] / "deploy"
@@ -194,10 +194,10 @@ def test_without_a_key_the_network_is_not_served_unless_told_in_words(
 def test_a_damaged_file_of_keys_is_a_shortcoming_and_opens_nothing(tmp_path: Path):
     settings = settings_of(tmp_path, f'{own_store(tmp_path)}[api]\nhost = "0.0.0.0"')
     settings.store.dir.mkdir()
-    (settings.store.dir / KEYS).write_text("{")
+    (settings.store.dir / FILE).write_text("{")
     assert not any("api" in each for each in problems(settings))
     (found,) = (each for each in shortcomings(settings) if "api" in each)
-    assert found.startswith(f"api.keys: {settings.store.dir / KEYS}: Invalid JSON")
+    assert found.startswith(f"api.keys: {settings.store.dir / FILE}: Invalid JSON")
 
 
 @pytest.mark.parametrize("nested", [5000 * "[" + 5000 * "]", 5000 * '{"a":' + "1" + 5000 * "}", 5000 * "9"])
