@@ -8,7 +8,7 @@ from support.rest import FakeControl, app_of, assert_problem, client_of
 from support.served import served_by
 
 from service.store import Store
-from service.web.key_guesses import MAX_REMEMBERED, MAX_WRONG, PAUSE_S, KeyGuesses
+from service.web.clients import MAX_REMEMBERED, MAX_WRONG, PAUSE_S, KeyGuesses
 from service.web.settings import ApiKey, ApiSettings
 
 MES = ApiKey(name="mes", sha256=hashlib.sha256(b"mes-token").hexdigest())

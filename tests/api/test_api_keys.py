@@ -14,7 +14,7 @@ from pipeline.frames import rfc3339
 from service.base.errors import StoreError
 from service.store import Store
 from service.store.keys import FILE, create_key, rename_file, revoke_key, sha256_of, take_over
-from service.web.key_guesses import MAX_WRONG
+from service.web.clients import MAX_WRONG
 from service.web.settings import ApiKey, ApiSettings, Scope, WithoutKeys
 
 CONFIGURED = ApiKey(

@@ -17,7 +17,7 @@ from pipeline.frames import rfc3339
 from service.store import Store
 from service.store.keys import AccessKey, create_key, revoke_key, sha256_of
 from service.store.trouble import StoreTrouble, TroubleCause
-from service.web.key_guesses import MAX_WRONG
+from service.web.clients import MAX_WRONG
 from service.web.sessions import LONGEST_S, NAME, NAME_OVER_TLS, UNUSED_S, Sessions
 from service.web.settings import ApiSettings, Scope, WithoutKeys
 
