@@ -86,18 +86,14 @@ def revoke(name: Name, config: Config) -> None:
 
 def _described(settings: Settings) -> list[dict[str, Any]]:
     """Describe all keys, without their hashes."""
-    now = utc_now()
+    now, shown = utc_now(), ("created_at", "created_by", "expires_at", "revoked_at", "revoked_by")
     configured = [AccessKey(key.sha256, key.name, key.scopes) for key in settings.api.keys]
     return [
         {
             "name": key.name,
             "scopes": key.scopes,
             "state": "revoked" if key.revoked_at else "expired" if key.refusal(now) else "valid",
-            "created_at": key.created_at,
-            "created_by": key.created_by,
-            "expires_at": key.expires_at,
-            "revoked_at": key.revoked_at,
-            "revoked_by": key.revoked_by,
+            **{each: getattr(key, each) for each in shown},
         }
         for key in (*configured, *stored_keys(settings.store.dir))
     ]

@@ -115,7 +115,7 @@ def create_key(
                 raise StoreError(f"{state_dir}: has {MAX_KEYS} keys: revoke old ones")
             connection.execute("DELETE FROM keys WHERE sha256 = ?", (dead.sha256,))
         _insert(connection, key)
-        audit.note(connection, _command_of(by), "key created", name, after=key.facts)
+        audit.note(connection, f"stonefall keys of {by}", "key created", name, after=key.facts)
     return key, token
 
 
@@ -130,7 +130,9 @@ def revoke_key(state_dir: Path, name: str, by: str) -> None:
             raise StoreError(f"there is no key {name!r} to revoke in {state_dir}")
         for key in map(_of_row, revoked):
             after = {**key.facts, "revoked_at": key.revoked_at}
-            audit.note(connection, _command_of(by), "key revoked", name, before=key.facts, after=after)
+            audit.note(
+                connection, f"stonefall keys of {by}", "key revoked", name, before=key.facts, after=after
+            )
 
 
 def take_over(connection: sqlite3.Connection, state_dir: Path) -> str | None:
@@ -223,7 +225,3 @@ def _insert(connection: sqlite3.Connection, key: AccessKey) -> bool:
         tuple(row.values()),
     )
     return inserted.rowcount == 1
-
-
-def _command_of(user: str) -> str:
-    return f"stonefall keys of {user}"
