@@ -240,7 +240,7 @@ def _lots(
 
 
 def definition_of(lot: LotDocument | LotDefinition) -> LotDefinition:
-    """Return what the plant says of a lot, alone."""
+    """Return the definition of a lot, without what became of it."""
     return LotDefinition(**{each.name: getattr(lot, each.name) for each in fields(LotDefinition)})
 
 
