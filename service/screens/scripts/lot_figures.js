@@ -17,7 +17,8 @@ export function showSteps(place, text, { curve }, chosenMm, choose) {
   const sieves = drawing.dataset.sieves.split(" ").map((place) => place.split(",").map(Number));
   const buttons = sieves.map(([sieveMm, x], i) => {
     const [belowMm, from] = i === 0 ? [0, left] : sieves[i - 1];
-    const name = label(belowMm, sieveMm, (passing.get(sieveMm) ?? 0) - (passing.get(belowMm) ?? 0));
+    const percent = (passing.get(sieveMm) ?? 0) - (passing.get(belowMm) ?? 0);
+    const name = word("gallery.step", { below: sieve(belowMm), sieve: sieve(sieveMm), percent: number(percent, 1) });
     const shares = { left: from / width, width: (x - from) / width, top: top / height, height: (bottom - top) / height };
     const style = Object.entries(shares).map(([side, share]) => `${side}: ${100 * share}%`).join("; ");
     return html.button({ type: "button", "data-sieve": sieveMm, "aria-pressed": String(sieveMm === chosenMm), "aria-label": name, title: name, style, onclick: () => choose(sieveMm) });
@@ -26,9 +27,6 @@ export function showSteps(place, text, { curve }, chosenMm, choose) {
   show(place, html.div({ class: "curve-with-steps" }, drawing, buttons));
   if (focused) buttons.find(({ dataset }) => dataset.sieve === focused)?.focus();
 }
-
-const label = (belowMm, sieveMm, percent) =>
-  word("gallery.step", { below: sieve(belowMm), sieve: sieve(sieveMm), percent: number(percent, 1) });
 
 /** Show the figures; `without` are those without the stones that were taken out, null while there are none. */
 export function showFigures(place, all, without, sieveMm) {

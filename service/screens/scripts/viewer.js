@@ -24,7 +24,7 @@ export async function showBody(place, stone) {
     const modules = await modulesFor3d();
     if (modules !== null) {
       why = "viewer.no-webgl";
-      if (hasWebGl()) return await new Body(place, stone, modules).load();
+      if (document.createElement("canvas").getContext("webgl2") !== null) return await new Body(place, stone, modules).load();
     }
   } catch (error) {
     console.warn(error); // the picture says the same to people
@@ -46,8 +46,6 @@ async function modulesFor3d() {
     ["three.module", "OrbitControls", "GLTFLoader"].map((name) => import(`../packages/three/${name}.js`)));
   return { three, OrbitControls: orbit.OrbitControls, GLTFLoader: gltf.GLTFLoader };
 }
-
-const hasWebGl = () => document.createElement("canvas").getContext("webgl2") !== null;
 
 /** A body on a canvas, drawn when something has changed and at no other time. */
 class Body {

@@ -41,7 +41,7 @@ function figure(stone, camera, hasFrames) {
     if (!(camera in stone.segmenters)) return showNothing("passport.view-not-arrived");
     const outline = await getText(`/particles/${stone.key}/views/${camera}/outline.svg`).catch(() => null);
     if (outline === null && !hasFrames) return showNothing("passport.view-not-kept");
-    const drawing = outline === null ? bare() : svgFromServer(outline);
+    const drawing = outline === null ? svg.svg({ viewBox: "0 0 1280 1024" }) : svgFromServer(outline);
     drawing.querySelector("style")?.remove(); // it is that of a file of its own, and would hold for the whole page
     drawing.classList.add("outlined");
     drawing.setAttribute("role", "img");
@@ -61,8 +61,6 @@ function figure(stone, camera, hasFrames) {
   }
   return { shown, load };
 }
-
-const bare = () => svg.svg({ viewBox: "0 0 1280 1024" });
 
 /** Show what is drawn and a margin alone. */
 function cut(drawing) {

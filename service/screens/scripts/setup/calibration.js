@@ -24,8 +24,13 @@ export function mountCalibration(place) {
     const open = list.items.find(({ state }) => OPEN.includes(state));
     const latest = list.items.find(({ origin }) => origin === "session");
     const isWaiting = latest?.state === "accepted" && !list.activations.some(({ id }) => id === latest.id);
-    if (open !== undefined) showOpen(await get(`/calibrations/${open.id}`));
-    else if (isWaiting) wizard.enter("use", () => useStep(latest));
+    const opened = open && (await get(`/calibrations/${open.id}`));
+    if (opened?.state === "solving") wizard.enter("solve", () => solveStep(opened));
+    else if (opened?.state === "solved" && dropsMoreFor !== opened.id) wizard.enter("review", () => reviewStep(opened));
+    else if (opened !== undefined) {
+      wizard.enter("drop", () => dropStep(opened));
+      showDrops(opened);
+    } else if (isWaiting) wizard.enter("use", () => useStep(latest));
     else wizard.enter("prepare", () => prepareStep(latest));
     showPast(list);
   });
@@ -50,16 +55,6 @@ export function mountCalibration(place) {
         signature(),
       ),
     ];
-  }
-
-  function showOpen(calibration) {
-    const { id, state } = calibration;
-    if (state === "solving") wizard.enter("solve", () => solveStep(calibration));
-    else if (state === "solved" && dropsMoreFor !== id) wizard.enter("review", () => reviewStep(calibration));
-    else {
-      wizard.enter("drop", () => dropStep(calibration));
-      showDrops(calibration);
-    }
   }
 
   function dropStep({ id, ball_diameters_mm: diameters, method }) {

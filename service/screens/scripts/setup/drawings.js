@@ -1,19 +1,19 @@
 /** The rig from above and from the side, with its cameras; the tiles below say the same in words. */
 
-import { svg } from "../dom.js";
+import { html, svg } from "../dom.js";
+import { word } from "../words.js";
 
 const SIDE_AZIMUTH_RAD = -Math.PI / 6;
 /** The side is seen from beside the cameras' axes, so that none hides another. */
 
-/** Draw the rig as seen from above. */
-export const fromAbove = (rig, marks, choose) => draw(rig, marks, choose, ({ center_mm: [x, y, z] }) => ({ across: x, up: y, near: z }));
-
-/** Draw the rig as seen from the side. */
-export const fromTheSide = (rig, marks, choose) =>
-  draw(rig, marks, choose, ({ center_mm: [x, y, z] }) => {
-    const [cos, sin] = [Math.cos(SIDE_AZIMUTH_RAD), Math.sin(SIDE_AZIMUTH_RAD)];
-    return { across: x * cos - y * sin, up: z, near: -(x * sin + y * cos) };
-  });
+/** Draw the rig as seen from above and from the side; `choose` is called with the place that a person points at. */
+export function drawings(rig, marks, choose) {
+  const above = ({ center_mm: [x, y, z] }) => ({ across: x, up: y, near: z });
+  const [cos, sin] = [Math.cos(SIDE_AZIMUTH_RAD), Math.sin(SIDE_AZIMUTH_RAD)];
+  const side = ({ center_mm: [x, y, z] }) => ({ across: x * cos - y * sin, up: z, near: -(x * sin + y * cos) });
+  const figure = (projected, text) => html.figure(draw(rig, marks, choose, projected), html.figcaption(text));
+  return [figure(above, word("setup.places-above")), figure(side, word("setup.places-side"))];
+}
 
 function draw({ cameras }, marks, choose, projected) {
   const radius = Math.max(...cameras.map(({ center_mm: center }) => Math.hypot(...center)));
@@ -24,5 +24,5 @@ function draw({ cameras }, marks, choose, projected) {
       svg.circle({ r: near < 0 ? 10 : 12 }),
       svg.text({ "text-anchor": "middle", y: 4 }, id.replace(/^c0?/, "")),
     );
-  return svg.svg({ viewBox: "-122 -122 244 244", class: "rig", "aria-hidden": "true" }, svg.circle({ class: "sphere", r: 100 }), svg.circle({ class: "stone", r: 5 }), ...seen.map(marker));
+  return svg.svg({ viewBox: "-122 -122 244 244", class: "rig", "aria-hidden": "true" }, svg.circle({ class: "sphere", r: 100 }), svg.circle({ class: "stone", r: 5 }), seen.map(marker));
 }

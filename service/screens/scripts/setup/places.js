@@ -6,7 +6,7 @@ import { html, rowHead, setText, showNew, table } from "../dom.js";
 import { actionButton, explained } from "../forms.js";
 import { number, word } from "../words.js";
 import { conclude, snippet } from "./conclusions.js";
-import { fromAbove, fromTheSide } from "./drawings.js";
+import { drawings } from "./drawings.js";
 import { rigInUse } from "./rig.js";
 import { buttons, columns, finding, hands, makeWizard, note, progress, verdict } from "./wizard.js";
 
@@ -154,10 +154,7 @@ export function mountPlaces(place) {
     showNew(live.status, [lit, waiting()[0]], () => html.p(asked()));
     showNew(live.done, [n, cameras.length], () => progress(word("setup.places-progress", { n, of: cameras.length }), n, cameras.length));
     const marks = new Map(Object.values(seen).filter((each) => each.place).map((each) => [each.place, each]));
-    showNew(live.drawings, [lit !== null, [...marks.keys()]], () => [
-      html.figure(fromAbove(rig, marks, choose), html.figcaption(word("setup.places-above"))),
-      html.figure(fromTheSide(rig, marks, choose), html.figcaption(word("setup.places-side"))),
-    ]);
+    showNew(live.drawings, [lit !== null, [...marks.keys()]], () => drawings(rig, marks, choose));
     showNew(live.tiles, [lit !== null, seen, cameras.map(({ id, frames }) => [id, frames])], () => rig.layers.map(layerRow));
   }
 

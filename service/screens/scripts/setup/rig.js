@@ -10,8 +10,7 @@ export async function rigInUse() {
   const { active } = await get("/calibrations");
   const { cameras } = await get(`/calibrations/${active.id}/rig.json`);
   const placed = cameras.map((camera) => ({ ...camera, ...place(camera) }));
-  const layers = layered(placed);
-  return { cameras: placed, layers };
+  return { cameras: placed, layers: layered(placed) };
 }
 
 /** Return where a camera is, seen from the middle of the rig: -R^T t. */
