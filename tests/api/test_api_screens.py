@@ -46,6 +46,18 @@ def test_all_modules_that_a_script_imports_are_there() -> None:
             assert posixpath.normpath(f"{posixpath.dirname(path)}/{''.join(name)}") in files, (path, name)
 
 
+@pytest.mark.parametrize("address", PAGES)
+def test_a_page_names_all_its_scripts_at_once(address: str) -> None:
+    shown = installed_screens()
+    names = re.findall(r'"modulepreload" href="\S+/(scripts/\S+)"', shown.pages[address].content.decode())
+    assert names[0] == f"scripts/{PAGES[address].name}.js" and len(names) == len(set(names))
+    for path in names:
+        for name in re.findall(
+            r'^import .*? from "(.+?)";$', shown.files[path].content.decode(), re.MULTILINE
+        ):
+            assert posixpath.normpath(f"{posixpath.dirname(path)}/{name}") in names, (path, name)
+
+
 async def test_a_file_is_compressed_for_who_takes_it(client: httpx.AsyncClient) -> None:
     name = f"{HOST}{ROOT}/{installed_screens().version}/styles/base.css"
     plain = await client.get(name, headers={"Accept-Encoding": "identity"})

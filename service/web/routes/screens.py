@@ -7,6 +7,8 @@ first page after an upgrade. All of it is held in memory: it is small, and no na
 import gzip
 import hashlib
 import json
+import posixpath
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -106,7 +108,7 @@ def installed_screens() -> Screens:
 
     def rendered(page: Page) -> File:
         html = templates.get_template(f"{page.name}.html").render(
-            page=page, pages=PAGES, files=f"{ROOT}/{version}"
+            page=page, pages=PAGES, files=f"{ROOT}/{version}", scripts=_scripts(page, contents)
         )
         return File.of(html.encode(), MEDIA_TYPES[".html"])
 
@@ -117,6 +119,16 @@ def installed_screens() -> Screens:
         if not path.startswith("pages/")
     }
     return Screens(version, pages, files)
+
+
+def _scripts(page: Page, contents: Mapping[str, bytes]) -> list[str]:
+    """Return the script of a page and all that it imports, which a browser would else find one after another."""
+    found = [f"scripts/{page.name}.js"]
+    for path in found:  # to which it appends
+        imported = re.findall(r'^import .*? from "(.+?)";$', contents[path].decode(), re.MULTILINE)
+        named = (posixpath.normpath(f"{posixpath.dirname(path)}/{name}") for name in imported)
+        found += [each for each in named if each not in found]
+    return found
 
 
 def _read(folder: Path) -> Iterator[tuple[str, bytes]]:
