@@ -184,8 +184,9 @@ def to_schema_14(database: Path) -> None:
             ("results", "seq, id, trigger, session, record"),
             *((name, "*") for name in ("revisions", "removed_results", "audit")),
         ):
-            columns = "" if names == "*" else f"({names})"
-            old.execute(f"INSERT INTO {table} {columns} SELECT {names} FROM today.{table}")  # noqa: S608 - above
+            if names == "*":  # of that schema
+                names = ", ".join(row[1] for row in old.execute(f"PRAGMA main.table_info({table})"))
+            old.execute(f"INSERT INTO {table} ({names}) SELECT {names} FROM today.{table}")  # noqa: S608 - above
         names = ", ".join(row[1] for row in old.execute("PRAGMA main.table_info(stones)"))
         old.execute(  # whose results are gone
             f"INSERT INTO stones ({names}) SELECT {names} FROM today.stones WHERE seq NOT IN (SELECT seq FROM results)"  # noqa: S608 - above
