@@ -108,7 +108,7 @@ async def test_asking_again_does_not_mend_a_damaged_store(
     client: httpx.AsyncClient, store: Store, session: int, state_dir: Path
 ) -> None:
     await add(store, session, 1, measured())
-    assert (await client.get("/results")).status_code == 200  # keys were read, as at the start of a daemon
+    assert (await client.get("/consumers")).status_code == 200  # keys were read, as at the start of a daemon
     database = state_dir / "results.sqlite"
     with closing(sqlite3.connect(database)) as other:
         other.execute("PRAGMA wal_checkpoint(TRUNCATE)")
