@@ -2,7 +2,7 @@
 
 import { get, post } from "../api.js";
 import { askWhenNew } from "../asking.js";
-import { byId, html, setText, show } from "../dom.js";
+import { byId, html, setText, showNew } from "../dom.js";
 import { actionButton, formDialog } from "../forms.js";
 import { prioritySymbol } from "../symbols.js";
 import { language, time, word } from "../words.js";
@@ -21,12 +21,13 @@ function render({ items, shelved, suppressed }) {
   const n = items.filter((alarm) => alarm.state === "unacknowledged").length;
   setText(byId("alarms-title"), items.length === 0 ? word("operator.no-alarms") : word("operator.alarms", { all: items.length, new: n }));
   byId("alarms").classList.toggle("calls", n > 0);
-  show(
-    byId("alarm-list"),
+  const list = byId("alarm-list");
+  const open = list.querySelector("details")?.open ?? false;
+  showNew(list, { items, shelved, suppressed }, () => [
     items.map(card),
-    shelved.length > 0 && html.details(html.summary(word("operator.shelved", { n: shelved.length })), shelved.map(shelvedCard)),
+    shelved.length > 0 && html.details({ open }, html.summary(word("operator.shelved", { n: shelved.length })), shelved.map(shelvedCard)),
     suppressed.length > 0 && html.p({ class: "weak" }, word("operator.suppressed", { n: suppressed.length })),
-  );
+  ]);
 }
 
 const card = (alarm) =>
