@@ -13,6 +13,7 @@ from pipeline.gradation.estimates import (
     standard_errors_to_either_end,
 )
 from pipeline.gradation.evaluation import Gradation
+from pipeline.schema import SCHEMA
 
 UNPROVEN_PERCENT = 2.0
 """Mass that may be retained, at the upper end of the interval, where 100 % must pass: no number of stones proves that
@@ -34,12 +35,16 @@ class Verdict(StrEnum):
     """Not in the range of sizes that is measured."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
-    """Least and greatest percent; both are allowed themselves."""
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Limits of a specification, percent."""
 
-    min_percent: float = 0.0
-    max_percent: float = 100.0
+    __pydantic_config__ = SCHEMA
+
+    min_percent: float
+    """Least percent that is allowed"""
+    max_percent: float
+    """Greatest percent that is allowed"""
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_percent <= self.max_percent <= 100:
@@ -54,26 +59,28 @@ class Specification:
 
     name: str
     source: str
-    passing: Mapping[float, Limits]  # by aperture in mm
-    flakiness: Limits | None = None
-    shape: Limits | None = None
+    passing: Mapping[float, Range]  # by aperture in mm
+    flakiness: Range | None = None
+    shape: Range | None = None
     step_percent: float = (
         1.0  # results are rounded to it before they are compared, as the standards report them
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judgement:
-    """The verdict on one figure, and the stones until it is expected to be decided."""
+class Decision:
+    """The verdict on one figure."""
+
+    __pydantic_config__ = SCHEMA
 
     verdict: Verdict
-    limits: Limits
-    estimate: Estimate
-    more_stones: int | None = None  # None: decided, or no number of stones is expected to decide
-
-    def seconds(self, stones_per_s: float) -> float | None:
-        """Return the time until it is expected to be decided."""
-        return None if self.more_stones is None or stones_per_s <= 0 else self.more_stones / stones_per_s
+    """By the 95 % interval: inside the limits, outside, or neither for certain"""
+    limits: Range
+    """What the specification allows"""
+    more_stones: int | None = None
+    """Stones until it is expected to be decided; null: decided, or never"""
+    more_s: float | None = None
+    """Seconds that these take at the present rate"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,18 +89,17 @@ class LotJudgement:
 
     verdict: Verdict
     is_partial: bool  # some figures of the specification were not measured
-    passing: Mapping[float, Judgement]  # by aperture in mm
-    flakiness: Judgement | None
-    shape: Judgement | None
+    passing: Mapping[float, Decision]  # by aperture in mm
+    flakiness: Decision | None
+    shape: Decision | None
     more_stones: int | None  # until the last figure is expected to be decided
 
 
-def judge(specification: Specification, gradation: Gradation) -> LotJudgement:
+def judge(specification: Specification, gradation: Gradation, stones_per_s: float = 0.0) -> LotJudgement:
     """Return the verdict; a sieve that the gradation was not evaluated at was not measured."""
     found = {point.sieve_mm: point.by_mass for point in gradation.curve}
-    return judge_figures(
-        specification, found, gradation.indices.flakiness_percent, gradation.indices.shape_percent
-    )
+    indices = gradation.indices
+    return judge_figures(specification, found, indices.flakiness_percent, indices.shape_percent, stones_per_s)
 
 
 def judge_figures(
@@ -101,11 +107,12 @@ def judge_figures(
     passing: Mapping[float, Estimate],
     flakiness: Estimate = NOT_MEASURED,
     shape: Estimate = NOT_MEASURED,
+    stones_per_s: float = 0.0,
 ) -> LotJudgement:
     """Return the verdict on a curve and indices of any origin."""
 
-    def judged(figure: Estimate, limits: Limits) -> Judgement:
-        return judge_figure(figure, limits, specification.step_percent)
+    def judged(figure: Estimate, limits: Range) -> Decision:
+        return judge_figure(figure, limits, specification.step_percent, stones_per_s)
 
     by_sieve = {
         sieve_mm: judged(passing.get(sieve_mm, NOT_MEASURED), limits)
@@ -125,10 +132,10 @@ def judge_figures(
     )
 
 
-def judge_figure(figure: Estimate, limits: Limits, step_percent: float) -> Judgement:
-    """Return the verdict on one figure, by its interval."""
+def judge_figure(figure: Estimate, limits: Range, step_percent: float, stones_per_s: float = 0.0) -> Decision:
+    """Return the verdict on one figure, by its interval; without a rate, no time until it is decided."""
     if figure.value is None or figure.low is None or figure.high is None:
-        return Judgement(verdict=Verdict.NOT_MEASURED, limits=limits, estimate=figure)
+        return Decision(verdict=Verdict.NOT_MEASURED, limits=limits)
     low, high = limits.min_percent - step_percent / 2, limits.max_percent + step_percent / 2
     low_end = 100 - UNPROVEN_PERCENT if limits.min_percent == 100 else low
     if figure.state is State.INSUFFICIENT:
@@ -139,13 +146,11 @@ def judge_figure(figure: Estimate, limits: Limits, step_percent: float) -> Judge
         verdict = Verdict.CONFORMS
     else:
         verdict = Verdict.UNDECIDED
-    is_open = verdict in (Verdict.INSUFFICIENT, Verdict.UNDECIDED)
-    return Judgement(
-        verdict=verdict,
-        limits=limits,
-        estimate=figure,
-        more_stones=_more_stones(figure, low_end if figure.value >= low else low, high) if is_open else None,
-    )
+    more_stones = None
+    if verdict in (Verdict.INSUFFICIENT, Verdict.UNDECIDED):
+        more_stones = _more_stones(figure, low_end if figure.value >= low else low, high)
+    more_s = None if more_stones is None or stones_per_s <= 0 else more_stones / stones_per_s
+    return Decision(verdict=verdict, limits=limits, more_stones=more_stones, more_s=more_s)
 
 
 def _more_stones(figure: Estimate, low: float, high: float) -> int | None:
@@ -179,7 +184,7 @@ class CategoryLimit:
 
     is_upper: bool
     factor: float
-    limits: Limits
+    limits: Range
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -197,8 +202,8 @@ def specification_of(
     upper_mm: float,
     apertures_mm: Iterable[float],
     *,
-    flakiness: Limits | None = None,
-    shape: Limits | None = None,
+    flakiness: Range | None = None,
+    shape: Range | None = None,
 ) -> Specification:
     """Return the specification of a product d/D; a size that no sieve has is that of the nearest of `apertures_mm`."""
     if not 0 < lower_mm < upper_mm:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Values
+from pipeline.schema import SCHEMA
 
 
 class Fate(StrEnum):
@@ -142,42 +143,38 @@ def merge(a: Lot, b: Lot) -> Lot:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class UnmeasuredCount:
-    """Number of stones that were not measured for one reason."""
+class Unmeasured:
+    """Stones that fell and are in no figure, and what they may have weighed."""
 
-    fate: Fate
-    reason: str
-    n_stones: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UnmeasuredMass:
-    """Mass that fell and was not measured, in percent of the measured mass.
-
-    `expected_percent` takes each stone for the mean one. `at_most_percent` takes each for the heaviest measured one
-    or a sphere as large as the field of view, the heavier of the two: a clipped stone may be just that large.
-    """
+    __pydantic_config__ = SCHEMA
 
     n_stones: int
-    counts: tuple[UnmeasuredCount, ...]
-    expected_percent: float | None  # None while nothing was measured
+    """Rejected and lost stones"""
+    by_reason: Mapping[str, int]
+    """By outcome and reason, such as `rejected: clipped`"""
+    expected_percent: float | None
+    """Of the measured mass, if each was as heavy as the mean"""
     at_most_percent: float | None
+    """The same if each was as heavy as the heaviest, or as a sphere that fills the view"""
 
 
-def unmeasured_mass(lot: Lot, largest_mm: float) -> UnmeasuredMass:
-    """Return the mass that may be missing in the curve; `largest_mm` is the largest size that can be measured."""
-    counts = tuple(
-        UnmeasuredCount(fate=fate, reason=reason, n_stones=n)
+def unmeasured_mass(lot: Lot, largest_mm: float) -> Unmeasured:
+    """Return the mass that may be missing in the curve, in percent of the measured mass, None while that is nothing.
+
+    `largest_mm` is the largest size that can be measured: a clipped stone may be just that large.
+    """
+    by_reason = {
+        f"{fate}: {reason}": n
         for (fate, reason), n in sorted(lot.counts.items())
         if fate is not Fate.MEASURED
-    )
-    n_stones, volumes_mm3 = sum(of.n_stones for of in counts), np.sort(lot.column("volume_mm3"))
+    }
+    n_stones, volumes_mm3 = sum(by_reason.values()), np.sort(lot.column("volume_mm3"))
     if not len(volumes_mm3):
-        return UnmeasuredMass(n_stones=n_stones, counts=counts, expected_percent=None, at_most_percent=None)
+        return Unmeasured(n_stones=n_stones, by_reason=by_reason, expected_percent=None, at_most_percent=None)
     largest_mm3 = max(float(volumes_mm3[-1]), pi / 6 * largest_mm**3)
-    return UnmeasuredMass(
+    return Unmeasured(
         n_stones=n_stones,
-        counts=counts,
+        by_reason=by_reason,
         expected_percent=100 * n_stones / len(volumes_mm3),
         at_most_percent=100 * n_stones * largest_mm3 / float(volumes_mm3.sum()),
     )

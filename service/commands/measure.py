@@ -193,11 +193,15 @@ def _gradation(records: list[dict[str, Any]], rig: RigCalibration) -> dict[str, 
     lot, sieves = lot_of_records(records), read_standards().sieve_sets[SIEVE_SET]
     counted = evaluate(lot, sieves.apertures_mm, measured=ALL_SIZES)
     found = asdict(evaluate(lot, sieves.apertures_mm, scale_sd=(rig.length_sd_percent or 0.0) / 100))
+    unmeasured = found["unmeasured"]
+    reasons = [(*key.split(": "), n) for key, n in unmeasured.pop("by_reason").items()]
+    counts = [dict(zip(("fate", "reason", "n_stones"), each, strict=True)) for each in reasons]
     return {
         "sieves_mm": sieves.apertures_mm,
         "passing_percent": [point.by_mass.value or 0.0 for point in counted.curve],
         "quantiles_mm": {f"D{p}": counted.quantiles_interpolated_mm[p].value for p in PERCENTS},
         **found,
+        "unmeasured": {"n_stones": unmeasured["n_stones"], "counts": counts, **unmeasured},
         "indices": {name.removesuffix("_percent"): each for name, each in found["indices"].items()},
     }
 

@@ -17,7 +17,7 @@ from pipeline.gradation.estimators import sample_of
 from pipeline.gradation.evaluation import Gradation, evaluate
 from pipeline.gradation.indices import LotIndices
 from pipeline.gradation.sieves import MeasuredRange
-from pipeline.gradation.specification import Judgement, LotJudgement, Verdict, judge
+from pipeline.gradation.specification import Decision, LotJudgement, Verdict, judge
 from pipeline.gradation.stones import Fate, Lot
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
 from service.lots.figures import (
@@ -25,15 +25,12 @@ from service.lots.figures import (
     CorrelatedCurve,
     CorrelatedStep,
     CurveStep,
-    Decision,
     FlatAndElongated,
     FlatAndElongatedFraction,
     LotFigures,
     ProductDocument,
     Quantile,
-    Range,
     ShapeIndices,
-    Unmeasured,
 )
 from service.lots.laboratory import Correlation, correlations
 from service.lots.lots import LotDocument, find_lot
@@ -108,10 +105,9 @@ def figures_of(
     specification, apertures_mm = yardstick.specification, yardstick.apertures_mm
     scale_sd = LENGTH_SD_PERCENT / 100
     gradation = evaluate(stones.lot, apertures_mm, measured=yardstick.measured, scale_sd=scale_sd)
-    judgement = None if specification is None else judge(specification, gradation)
+    judgement = None if specification is None else judge(specification, gradation, rate_per_s)
     name = None if specification is None else specification.name
     upper_mm = None if product is None else product.upper_mm
-    missing = {f"{each.fate}: {each.reason}": each.n_stones for each in gradation.unmeasured.counts}
     fates: Counter[Fate] = Counter()
     for (fate, _), n_stones in stones.lot.counts.items():
         fates[fate] += n_stones
@@ -134,16 +130,16 @@ def figures_of(
         sieve_set=yardstick.sieves.name,
         specification=name,
         specification_source=None if specification is None else specification.source,
-        curve=_curve(gradation, judgement, rate_per_s),
+        curve=_curve(gradation, judgement),
         correlated=None if correlation is None else _correlated(stones.lot, correlation, yardstick),
         quantiles=_quantiles(gradation),
         indices=_indices(gradation.indices),
-        flakiness_decision=None if judgement is None else _decision(judgement.flakiness, rate_per_s),
-        shape_decision=None if judgement is None else _decision(judgement.shape, rate_per_s),
+        flakiness_decision=None if judgement is None else judgement.flakiness,
+        shape_decision=None if judgement is None else judgement.shape,
         verdict=None if judgement is None else judgement.verdict,
         is_partial=judgement is not None and judgement.is_partial,
-        countdown=None if judgement is None else countdown(judgement, rate_per_s),
-        unmeasured=Unmeasured.model_validate(asdict(gradation.unmeasured) | {"by_reason": missing}),
+        countdown=None if judgement is None else countdown(judgement),
+        unmeasured=gradation.unmeasured,
         least_portion_kg=None
         if upper_mm is None
         else standards().least_portions[LEAST_PORTIONS].least_kg(upper_mm),
@@ -161,33 +157,33 @@ def passing_of(lot: Lot, apertures_mm: Sequence[float], measured: MeasuredRange)
     return {point.sieve_mm: point.by_mass for point in curve_of(sample, apertures_mm, measured)}
 
 
-def countdown(judgement: LotJudgement, rate_per_s: float) -> str:
+def countdown(judgement: LotJudgement) -> str:
     """Summarise decided and undecided figures: "16 mm: conforms; 4 mm (about 220 stones, 55 s more): undecided"."""
     named = [(f"{sieve_mm:g} mm", each) for sieve_mm, each in sorted(judgement.passing.items(), reverse=True)]
     named += [(name, each) for name, each in (("FI", judgement.flakiness), ("SI", judgement.shape)) if each]
     by_verdict: dict[Verdict, list[str]] = {}
     for name, each in named:
-        by_verdict.setdefault(each.verdict, []).append(name + _wait(each, rate_per_s))
+        by_verdict.setdefault(each.verdict, []).append(name + _wait(each))
     return "; ".join(
         f"{', '.join(names)}: {verdict.replace('_', ' ')}" for verdict, names in sorted(by_verdict.items())
     )
 
 
-def _wait(judgement: Judgement, rate_per_s: float) -> str:
-    if judgement.more_stones is None:
+def _wait(decision: Decision) -> str:
+    if decision.more_stones is None:
         return ""
-    seconds = judgement.seconds(rate_per_s)
-    return f" (about {judgement.more_stones} stones{'' if seconds is None else f', {seconds:.0f} s'} more)"
+    seconds = "" if decision.more_s is None else f", {decision.more_s:.0f} s"
+    return f" (about {decision.more_stones} stones{seconds} more)"
 
 
-def _curve(gradation: Gradation, judgement: LotJudgement | None, rate_per_s: float) -> list[CurveStep]:
+def _curve(gradation: Gradation, judgement: LotJudgement | None) -> list[CurveStep]:
     decisions = {} if judgement is None else judgement.passing
     return [
         CurveStep(
             sieve_mm=point.sieve_mm,
             passing_percent=point.by_mass,
             passing_by_number_percent=point.by_number,
-            decision=_decision(decisions.get(point.sieve_mm), rate_per_s),
+            decision=decisions.get(point.sieve_mm),
         )
         for point in gradation.curve
     ]
@@ -243,14 +239,3 @@ def _forms(shares: Shares) -> list[FlatAndElongated]:
         FlatAndElongated(ratio=ratio, **{f"{form}_percent": by_basis(form, ratio) for form in ParticleForm})
         for ratio in RATIOS
     ]
-
-
-def _decision(judgement: Judgement | None, rate_per_s: float) -> Decision | None:
-    if judgement is None:
-        return None
-    return Decision(
-        verdict=judgement.verdict,
-        limits=Range(**asdict(judgement.limits)),
-        more_stones=judgement.more_stones,
-        more_s=judgement.seconds(rate_per_s),
-    )

@@ -9,30 +9,11 @@ from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.estimators import Property
 from pipeline.gradation.indices import Indices, is_flaky, is_non_cubical
 from pipeline.gradation.sieves import MeasuredRange
-from pipeline.gradation.specification import Verdict
+from pipeline.gradation.specification import Decision, Verdict
+from pipeline.gradation.stones import Unmeasured
 from service.base.schema import TIME, adds_to
 from service.base.status import Report
 from service.lots.lots import LotDocument
-
-
-class Range(Report):
-    """Limits of a specification, percent."""
-
-    min_percent: float = Field(description="Least percent that is allowed")
-    max_percent: float = Field(description="Greatest percent that is allowed")
-
-
-class Decision(Report):
-    """The verdict on one figure."""
-
-    verdict: Verdict = Field(
-        description="By the 95 % interval: inside the limits, outside, or neither for certain"
-    )
-    limits: Range = Field(description="What the specification allows")
-    more_stones: int | None = Field(
-        default=None, description="Stones until it is expected to be decided; null: decided, or never"
-    )
-    more_s: float | None = Field(default=None, description="Seconds that these take at the present rate")
 
 
 class CurveStep(Report):
@@ -103,19 +84,6 @@ class ShapeIndices(Indices):
     flat_and_elongated_weighted: Sequence[FlatAndElongated]
     """ASTM D4791 at each ratio, the mean over these fractions, weighted by their masses; `insufficient` where one of
     them is"""
-
-
-class Unmeasured(Report):
-    """Stones that fell and are in no figure, and what they may have weighed."""
-
-    n_stones: int = Field(description="Rejected and lost stones")
-    by_reason: Mapping[str, int] = Field(description="By outcome and reason, such as `rejected: clipped`")
-    expected_percent: float | None = Field(
-        description="Of the measured mass, if each was as heavy as the mean"
-    )
-    at_most_percent: float | None = Field(
-        description="The same if each was as heavy as the heaviest, or as a sphere that fills the view"
-    )
 
 
 class ProductDocument(Report):

@@ -13,7 +13,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PositiveFloa
 
 from pipeline.gradation.indices import FlakinessFraction
 from pipeline.gradation.sieves import LeastPortions, SieveSet
-from pipeline.gradation.specification import Category, CategoryLimit, Limits, Specification
+from pipeline.gradation.specification import Category, CategoryLimit, Range, Specification
 from service.base.errors import StandardsError
 
 FOLDER = Path(__file__).parent / "standards"
@@ -28,8 +28,8 @@ class Standards:
     least_portions: Mapping[str, LeastPortions]
     flakiness_fractions: Mapping[str, tuple[FlakinessFraction, ...]]
     categories: Mapping[str, Category]
-    flakiness: Mapping[str, Limits]
-    shape: Mapping[str, Limits]
+    flakiness: Mapping[str, Range]
+    shape: Mapping[str, Range]
     sizes: Mapping[str, Specification]
 
 
@@ -62,11 +62,11 @@ def read_standards(folder: Path = FOLDER) -> Standards:
 def _pair_to_limits(pair: object) -> object:
     match pair:
         case [float() | int() as low, float() | int() as high]:
-            return Limits(min_percent=low, max_percent=high)
+            return Range(float(low), float(high))
     raise ValueError("must be [least, greatest] percent")
 
 
-_Limits = Annotated[Limits, BeforeValidator(_pair_to_limits)]
+_Limits = Annotated[Range, BeforeValidator(_pair_to_limits)]
 
 
 class _Strict(BaseModel):
@@ -112,8 +112,8 @@ class _IndexTable(_Table):
     max_percent: dict[str, float]
 
     @property
-    def limits(self) -> dict[str, Limits]:
-        return {name: Limits(max_percent=percent) for name, percent in self.max_percent.items()}
+    def limits(self) -> dict[str, Range]:
+        return {name: Range(0.0, percent) for name, percent in self.max_percent.items()}
 
 
 class _SizeTable(_Table):

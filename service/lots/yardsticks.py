@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange, SieveSet
-from pipeline.gradation.specification import Limits, Specification, specification_of
+from pipeline.gradation.specification import Range, Specification, specification_of
 from service.base.errors import InvalidRequestError
 from service.lots.products import OwnSpecification, ProductDefinition
 from service.lots.standards import Standards, read_standards
@@ -111,7 +111,7 @@ def _of_category(wanted: str, definition: ProductDefinition | None, sieves: Siev
         raise UnknownYardstickError(f"lower_mm, upper_mm: {err}") from err
 
 
-def _index(field: str, definition: ProductDefinition | None, known: Mapping[str, Limits]) -> Limits | None:
+def _index(field: str, definition: ProductDefinition | None, known: Mapping[str, Range]) -> Range | None:
     name = None if definition is None else getattr(definition, field)
     if name is None:
         return None
@@ -120,9 +120,9 @@ def _index(field: str, definition: ProductDefinition | None, known: Mapping[str,
     return known[name]
 
 
-def _limits(pair: Sequence[float]) -> Limits:
+def _limits(pair: Sequence[float]) -> Range:
     try:
-        return Limits(min_percent=pair[0], max_percent=pair[1])
+        return Range(*map(float, pair))
     except ValueError as err:
         raise UnknownYardstickError(f"specification: {err}") from err
 

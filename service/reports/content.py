@@ -2,8 +2,7 @@
 
 from collections.abc import Iterator
 
-from pipeline.gradation.specification import Verdict
-from service.lots.figures import Decision
+from pipeline.gradation.specification import Decision, Verdict
 from service.lots.lots import LotDocument, LotState
 from service.reports.document import DASH, Document, Section, Signatures, facts
 from service.reports.evidence import accounting, calibration, gallery, uncertainty, versions

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from io import StringIO
 
 from pipeline.gradation.estimates import Estimate
+from pipeline.gradation.specification import Decision
 from service.lots.figures import (
     INDICES,
-    Decision,
     FlatAndElongated,
     LotFigures,
     decision_on,

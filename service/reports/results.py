@@ -1,8 +1,8 @@
 """The figures of a lot as tables: gradation, indices, and the laboratory's beside the instrument's."""
 
 from pipeline.gradation.estimates import Estimate, State
-from pipeline.gradation.specification import Verdict
-from service.lots.figures import Decision, LotFigures, ShapeIndices, decision_on, unit_of
+from pipeline.gradation.specification import Decision, Verdict
+from service.lots.figures import LotFigures, ShapeIndices, decision_on, unit_of
 from service.lots.laboratory import StoredSieving
 from service.reports.curve import gradation_curve
 from service.reports.document import DASH, Block, Column, Note, Picture, Section, Table

@@ -9,7 +9,8 @@ from xlsxwriter import Workbook
 from xlsxwriter.worksheet import Worksheet
 
 from pipeline.gradation.estimates import Estimate
-from service.lots.figures import Decision, FlatAndElongated, shares_of
+from pipeline.gradation.specification import Decision
+from service.lots.figures import FlatAndElongated, shares_of
 from service.reports.content import document_of
 from service.reports.csv_file import accounting_rows
 from service.reports.document import NamesAndValues, Note

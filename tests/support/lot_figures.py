@@ -8,21 +8,19 @@ import cv2
 import numpy as np
 
 from pipeline.gradation.estimates import Estimate, State
-from pipeline.gradation.specification import Verdict
+from pipeline.gradation.specification import Decision, Range, Verdict
+from pipeline.gradation.stones import Unmeasured
 from service.lots.figures import (
     INDICES,
     CorrelatedCurve,
     CorrelatedStep,
     CurveStep,
-    Decision,
     FlatAndElongated,
     FlatAndElongatedFraction,
     LotFigures,
     ProductDocument,
     Quantile,
-    Range,
     ShapeIndices,
-    Unmeasured,
 )
 from service.lots.laboratory import Sieving, StoredSieving
 from service.lots.lots import LotDocument, LotState

@@ -7,12 +7,11 @@ from pydantic import BaseModel, Field
 
 from pipeline.frames import CameraId
 from pipeline.gradation.estimates import Estimate
-from pipeline.gradation.specification import Verdict
+from pipeline.gradation.specification import Decision, Verdict
 from service.base.schema import TIME
 from service.base.status import CameraOptics, CameraStatus, DeviceState, Ne107
 from service.health.alarms.alarm import AlarmState
 from service.health.alarms.rules import Priority
-from service.lots.figures import Decision
 from service.results.fields import Outcome, Verified
 
 

@@ -9,7 +9,7 @@ from pipeline.gradation.evaluation import evaluate
 from pipeline.gradation.specification import (
     Category,
     CategoryLimit,
-    Limits,
+    Range,
     Specification,
     Verdict,
     judge,
@@ -22,11 +22,11 @@ NO_57 = Specification(
     name="57",
     source="ASTM C33",
     passing={
-        37.5: Limits(min_percent=100),
-        25.0: Limits(min_percent=95),
-        12.5: Limits(min_percent=25, max_percent=60),
-        4.75: Limits(max_percent=10),
-        2.36: Limits(max_percent=5),
+        37.5: Range(100, 100),
+        25.0: Range(95, 100),
+        12.5: Range(25, 60),
+        4.75: Range(0, 10),
+        2.36: Range(0, 5),
     },
 )
 G2 = {37.5: 100.0, 25.0: 98.0, 19.0: 75.0, 12.5: 45.0, 9.5: 25.0, 4.75: 5.0, 2.36: 2.0}
@@ -75,7 +75,7 @@ def test_one_figure_outside_decides_whatever_is_open() -> None:
 
 def test_indices_have_verdicts() -> None:
     specification = Specification(
-        name="mine", source="here", passing={}, flakiness=Limits(max_percent=15), shape=Limits(max_percent=20)
+        name="mine", source="here", passing={}, flakiness=Range(0, 15), shape=Range(0, 20)
     )
     found = judge_figures(specification, {}, flakiness=around(10.0, 2.0), shape=around(30.0, 2.0))
     assert found.flakiness is not None
@@ -85,13 +85,13 @@ def test_indices_have_verdicts() -> None:
 
 
 def test_figures_are_compared_as_they_are_reported() -> None:
-    assert judge_figure(around(60.4), Limits(max_percent=60), 1.0).verdict is Verdict.CONFORMS
-    assert judge_figure(around(60.4), Limits(max_percent=60), 0.1).verdict is Verdict.DOES_NOT_CONFORM
+    assert judge_figure(around(60.4), Range(0, 60), 1.0).verdict is Verdict.CONFORMS
+    assert judge_figure(around(60.4), Range(0, 60), 0.1).verdict is Verdict.DOES_NOT_CONFORM
 
 
 def test_that_all_stones_pass_is_never_proven_but_bounded() -> None:
     """The standards ask that 100 % pass 1.4 D and 2 D."""
-    limits = Limits(min_percent=100)
+    limits = Range(100, 100)
     sizes_mm = np.random.default_rng(4).uniform(8, 16, 2000)
 
     def after(n: int) -> Estimate:
@@ -106,23 +106,23 @@ def test_that_all_stones_pass_is_never_proven_but_bounded() -> None:
 
 
 def test_four_times_the_stones_halve_the_interval() -> None:
-    found = judge_figure(around(58.5, 4.0), Limits(max_percent=60), 1.0)
+    found = judge_figure(around(58.5, 4.0), Range(0, 60), 1.0)
     assert found.more_stones == 3000
-    assert found.seconds(4.0) == 750
-    assert found.seconds(0.0) is None
+    assert found.more_s is None
+    assert judge_figure(around(58.5, 4.0), Range(0, 60), 1.0, stones_per_s=4.0).more_s == 750
 
 
 def test_what_stones_cannot_decide_has_no_countdown() -> None:
-    on_the_limit = judge_figure(around(60.5, 4.0), Limits(max_percent=60), 1.0)
-    systematic = judge_figure(around(58.5, 4.0, systematic=1.1), Limits(max_percent=60), 1.0)
-    decided = judge_figure(around(50.0, 4.0), Limits(max_percent=60), 1.0)
+    on_the_limit = judge_figure(around(60.5, 4.0), Range(0, 60), 1.0)
+    systematic = judge_figure(around(58.5, 4.0, systematic=1.1), Range(0, 60), 1.0)
+    decided = judge_figure(around(50.0, 4.0), Range(0, 60), 1.0)
     assert on_the_limit.more_stones is systematic.more_stones is decided.more_stones is None
 
 
 def test_the_countdown_comes_true() -> None:
     rng = np.random.default_rng(3)
     sizes_mm = np.exp(rng.normal(np.log(13), np.log(1.25), 40_000))
-    specification = Specification(name="mine", source="here", passing={16.0: Limits(max_percent=62)})
+    specification = Specification(name="mine", source="here", passing={16.0: Range(0, 62)})
 
     def after(n: int) -> tuple[Verdict, int | None]:
         found = judge(specification, evaluate(lot_of_sizes(sizes_mm[:n]), (16.0,)))
@@ -137,7 +137,7 @@ def test_the_countdown_comes_true() -> None:
 
 
 def test_too_few_stones_count_down_to_enough() -> None:
-    found = judge_figure(around(10.0, 5.0, n_effective=20.0), Limits(max_percent=60), 1.0)
+    found = judge_figure(around(10.0, 5.0, n_effective=20.0), Range(0, 60), 1.0)
     assert (found.verdict, found.more_stones) == (Verdict.INSUFFICIENT, 1500)
 
 
@@ -146,9 +146,9 @@ def test_a_category_is_a_specification_once_the_product_is_known() -> None:
         name="GC90-10",
         source="EN 13043",
         passing=(
-            CategoryLimit(is_upper=True, factor=1.4, limits=Limits(min_percent=100)),
-            CategoryLimit(is_upper=True, factor=1.0, limits=Limits(min_percent=90, max_percent=99)),
-            CategoryLimit(is_upper=False, factor=0.5, limits=Limits(max_percent=2)),
+            CategoryLimit(is_upper=True, factor=1.4, limits=Range(100, 100)),
+            CategoryLimit(is_upper=True, factor=1.0, limits=Range(90, 99)),
+            CategoryLimit(is_upper=False, factor=0.5, limits=Range(0, 2)),
         ),
     )
     found = specification_of(category, 12.5, 31.5, (6.3, 12.5, 31.5, 45.0))
@@ -160,4 +160,4 @@ def test_a_category_is_a_specification_once_the_product_is_known() -> None:
 @pytest.mark.parametrize(("low", "high"), [(-1.0, 5.0), (5.0, 4.0), (0.0, 101.0), (float("nan"), 5.0)])
 def test_impossible_limits_are_refused(low: float, high: float) -> None:
     with pytest.raises(ValueError, match="limits must rise"):
-        Limits(min_percent=low, max_percent=high)
+        Range(low, high)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.gradation.indices import EN_933_3
-from pipeline.gradation.specification import Limits, specification_of
+from pipeline.gradation.specification import Range, specification_of
 from service.base.errors import StandardsError
 from service.lots.standards import FOLDER, SIEVES, SPECIFICATIONS, read_standards
 
@@ -15,7 +15,7 @@ def test_all_tables_are_there_and_name_their_source() -> None:
     found = read_standards()
     assert set(found.sieve_sets) >= {"en-basic", "en-basic-1", "en-basic-2", "r20", "astm-c136", "jtg-3432"}
     assert set(found.sizes) == {f"astm-{number}" for number in (57, 67, 7, 8, 6, 5, 56, 467)}
-    assert found.sizes["astm-57"].passing[12.5] == Limits(min_percent=25, max_percent=60)
+    assert found.sizes["astm-57"].passing[12.5] == Range(25, 60)
     assert found.flakiness["FI15"].max_percent == found.shape["SI15"].max_percent == 15
     assert found.flakiness_fractions["en-933-3"] == EN_933_3
     assert found.least_portions["en-933-1"].least_kg(16.0) == pytest.approx(2.6)

@@ -24,8 +24,8 @@ from support.lot_figures import (
 )
 
 from pipeline.gradation.specification import Verdict
+from pipeline.gradation.stones import Unmeasured
 from service.base.language import Language
-from service.lots.figures import Unmeasured
 from service.lots.lots import LotState
 from service.reports.content import document_of
 from service.reports.document import NamesAndValues
