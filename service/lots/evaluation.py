@@ -32,7 +32,7 @@ from service.lots.figures import (
     Quantile,
     ShapeIndices,
 )
-from service.lots.laboratory import Correlation, correlations
+from service.lots.laboratory import CorrelationDocument, correlations
 from service.lots.lots import LotDocument, find_lot
 from service.lots.products import Product, find_product
 from service.lots.stones import ALL_STONES, Choice, Stones, stones_between, stones_of_lot
@@ -98,7 +98,7 @@ def figures_of(
     product: Product | None = None,
     record: LotDocument | None = None,
     rate_per_s: float = 0.0,
-    correlation: Correlation | None = None,
+    correlation: CorrelationDocument | None = None,
 ) -> LotFigures:
     """Return the figures of stones, with the verdict by the specification of their product or of the request."""
     yardstick = yardstick_of(product, request)
@@ -189,16 +189,14 @@ def _curve(gradation: Gradation, judgement: LotJudgement | None) -> list[CurveSt
     ]
 
 
-def _correlated(lot: Lot, correlation: Correlation, yardstick: Yardstick) -> CorrelatedCurve:
-    found = correlation.study
-    passing = passing_of(correlated(lot, found.mapping), yardstick.apertures_mm, yardstick.measured)
-    curve = [CorrelatedStep(sieve_mm=sieve_mm, passing_percent=each) for sieve_mm, each in passing.items()]
+def _correlated(lot: Lot, correlation: CorrelationDocument, yardstick: Yardstick) -> CorrelatedCurve:
+    passing = passing_of(correlated(lot, correlation.mapping), yardstick.apertures_mm, yardstick.measured)
     return CorrelatedCurve(
         version=correlation.version,
-        factor=found.mapping.factor,
-        n_lots=found.n_lots,
-        held_out_rmse=found.held_out_rmse,
-        curve=curve,
+        factor=correlation.factor,
+        n_lots=correlation.n_lots,
+        held_out_rmse=correlation.held_out_rmse,
+        curve=[CorrelatedStep(sieve_mm=sieve_mm, passing_percent=each) for sieve_mm, each in passing.items()],
     )
 
 

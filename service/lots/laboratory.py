@@ -4,15 +4,16 @@ import json
 import math
 import sqlite3
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from http import HTTPStatus
 from typing import Any
 
 from pydantic import TypeAdapter
 
 from drivers.files.times import utc_now
-from pipeline.gradation.correlation import MappingForm, SievedLot, Study, study
+from pipeline.gradation.correlation import MappingForm, SievedLot, SizeMapping, Study, study
 from service.base.errors import InvalidRequestError, ProblemError, ProblemKind, TooManyError
+from service.base.schema import ANSWER, Time
 from service.lots.lots import LotState, lots
 from service.lots.stones import stones_of_lot
 from service.store import audit
@@ -84,13 +85,46 @@ class StoredSieving:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Correlation:
-    """One version of a product's correlation study."""
+class CorrelationDocument:
+    """One version of a study: how the instrument's sizes become those of the laboratory's sieves."""
+
+    __pydantic_config__ = ANSWER
 
     product: str
+    """Id of the product"""
     version: int
-    at: str
-    study: Study
+    """Number of the study, from 1"""
+    at: Time
+    """When it was made, RFC 3339 UTC"""
+    form: MappingForm
+    """`factor`: one factor for all sizes; otherwise a rising mapping"""
+    factor: float
+    """Sieve's size by the instrument's, mean of all sizes"""
+    instrument_mm: tuple[float, ...]
+    """Knots of the mapping; one knot is one factor"""
+    sieve_mm: tuple[float, ...]
+    """Sizes of the laboratory's sieves at the knots, mm"""
+    relative_se: tuple[float | None, ...]
+    """Standard error at each knot, from lot to lot; null with one lot"""
+    n_lots: int
+    """Lots that were sieved and measured"""
+    n_points: int
+    """Points of all curves that were compared"""
+    raw_rmse: float
+    """Points of passing by which raw curves miss the laboratory's"""
+    raw_bias: float
+    """Mean of raw minus the laboratory's passing, percentage points"""
+    rmse: float
+    """The same with the mapping, on the lots that it was fitted to"""
+    held_out_rmse: float | None
+    """Each lot by the mapping of the others; null with one lot"""
+    held_out_bias: float | None
+    """Mean of these differences, each lot by the mapping of the others, percentage points; null with one
+    lot"""
+
+    @property
+    def mapping(self) -> SizeMapping:
+        return SizeMapping(**{each.name: getattr(self, each.name) for each in fields(SizeMapping)})
 
 
 SIEVING, STUDY = TypeAdapter(Sieving), TypeAdapter(Study)
@@ -213,7 +247,7 @@ def study_of(connection: sqlite3.Connection, product: str, form: MappingForm) ->
         raise NothingToStudyError(f"product {product}: {err}") from err
 
 
-def keep_study(connection: sqlite3.Connection, product: str, found: Study, who: str) -> Correlation:
+def keep_study(connection: sqlite3.Connection, product: str, found: Study, who: str) -> CorrelationDocument:
     """Store a study as the newest version of the product's."""
     with transaction(connection):
         (version,) = connection.execute(
@@ -225,18 +259,21 @@ def keep_study(connection: sqlite3.Connection, product: str, found: Study, who: 
             (product, version, at, json.dumps(asdict(found))),
         )
         audit.note(connection, who, "correlation", product, after=asdict(found))
-    return Correlation(product=product, version=version, at=at, study=found)
+    return _correlation(product, version, at, found)
 
 
-def correlations(connection: sqlite3.Connection, product: str) -> list[Correlation]:
+def correlations(connection: sqlite3.Connection, product: str) -> list[CorrelationDocument]:
     """Return all versions of a product's study, the newest first."""
     rows = connection.execute(
         "SELECT version, at, document FROM correlations WHERE product = ? ORDER BY version DESC", (product,)
     )
-    return [
-        Correlation(product=product, version=version, at=at, study=STUDY.validate_json(text))
-        for version, at, text in rows
-    ]
+    return [_correlation(product, version, at, STUDY.validate_json(text)) for version, at, text in rows]
+
+
+def _correlation(product: str, version: int, at: str, found: Study) -> CorrelationDocument:
+    figures, factor = asdict(found), found.mapping.factor
+    figures |= figures.pop("mapping")
+    return CorrelationDocument(product=product, version=version, at=at, factor=factor, **figures)
 
 
 def _number(text: str, line: int) -> float:

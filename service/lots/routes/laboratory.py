@@ -1,6 +1,5 @@
 """The laboratory's sievings of lots, and the correlation study of a product."""
 
-from dataclasses import asdict
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
@@ -10,7 +9,7 @@ from pipeline.gradation.correlation import MappingForm
 from service.base.schema import TIME, Name
 from service.lots.laboratory import (
     MOST_SIEVES,
-    Correlation,
+    CorrelationDocument,
     Sieving,
     SievingError,
     add_sieving,
@@ -87,33 +86,6 @@ class StudyRequest(BaseModel):
     )
 
 
-class CorrelationDocument(BaseModel):
-    """One version of a study: how the instrument's sizes become those of the laboratory's sieves."""
-
-    product: str = Field(description="Id of the product")
-    version: int = Field(description="Number of the study, from 1")
-    at: str = Field(description="When it was made, RFC 3339 UTC", json_schema_extra=TIME)
-    form: MappingForm = Field(description="`factor`: one factor for all sizes; otherwise a rising mapping")
-    factor: float = Field(description="Sieve's size by the instrument's, mean of all sizes")
-    instrument_mm: list[float] = Field(description="Knots of the mapping; one knot is one factor")
-    sieve_mm: list[float] = Field(description="Sizes of the laboratory's sieves at the knots, mm")
-    relative_se: list[float | None] = Field(
-        description="Standard error at each knot, from lot to lot; null with one lot"
-    )
-    n_lots: int = Field(description="Lots that were sieved and measured")
-    n_points: int = Field(description="Points of all curves that were compared")
-    raw_rmse: float = Field(description="Points of passing by which raw curves miss the laboratory's")
-    raw_bias: float = Field(description="Mean of raw minus the laboratory's passing, percentage points")
-    rmse: float = Field(description="The same with the mapping, on the lots that it was fitted to")
-    held_out_rmse: float | None = Field(
-        description="Each lot by the mapping of the others; null with one lot"
-    )
-    held_out_bias: float | None = Field(
-        description="Mean of these differences, each lot by the mapping of the others, percentage points; null with one"
-        " lot"
-    )
-
-
 class Correlations(BaseModel):
     """All versions of a product's study, the newest first; the newest is in use."""
 
@@ -137,27 +109,22 @@ async def list_sievings(context: Context, lot: LotName) -> Response:
     return Response(content, media_type="application/json")
 
 
-@router.post(
-    "/products/{product}/correlations",
-    status_code=201,
-    response_model=CorrelationDocument,
-    dependencies=CONFIGURABLE,
-)
+@router.post("/products/{product}/correlations", status_code=201, dependencies=CONFIGURABLE)
 async def post_correlation(
     context: Context, product: ProductName, wanted: StudyRequest, asking: Who
-) -> dict[str, Any]:
+) -> CorrelationDocument:
     """Correlate the instrument with a product's sievings; lots show both curves from now on."""
     existing(await context.store.read(find_product, product), "product", product)
     context.store.require_writable()
     found = await context.reading.run(read, context.store.path, study_of, product, wanted.form)
-    return _flat(await context.store.write(keep_study, product, found, asking))
+    return await context.store.write(keep_study, product, found, asking)
 
 
-@router.get("/products/{product}/correlations", response_model=Correlations, dependencies=READABLE)
-async def list_correlations(context: Context, product: ProductName) -> dict[str, Any]:
+@router.get("/products/{product}/correlations", dependencies=READABLE)
+async def list_correlations(context: Context, product: ProductName) -> Correlations:
     """List the correlation studies of a product, newest first."""
     existing(await context.store.read(find_product, product), "product", product)
-    return {"items": [_flat(each) for each in await context.store.read(correlations, product)]}
+    return Correlations(items=await context.store.read(correlations, product))
 
 
 @router.get("/repeatability", dependencies=READABLE, responses=problem_responses(404, 409))
@@ -187,14 +154,3 @@ def _sieving(wanted: SievingRequest) -> Sieving:
     if len(retained_g) < len(given):
         raise SievingError("retained_g: a sieve is there twice")
     return Sieving(retained_g=retained_g, pan_g=wanted.pan_g, **words)
-
-
-def _flat(correlation: Correlation) -> dict[str, Any]:
-    found = correlation.study
-    document = {
-        **asdict(correlation),
-        **asdict(found),
-        **asdict(found.mapping),
-        "factor": found.mapping.factor,
-    }
-    return {name: value for name, value in document.items() if name not in ("study", "mapping")}
