@@ -20,12 +20,12 @@ from service.recording.live_recording import RecordingState
 from service.recording.recordings import Recordings
 from service.store import Store
 from service.store.checks import RetentionFacts, retention_checks, store_use
-from service.store.holds import consumers
 from service.store.particle_files import path_of
 from service.store.retention import (
     STEP,
     Disk,
     RetentionLimits,
+    consumers,
     files_going,
     is_older,
     mark_files,

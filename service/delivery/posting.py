@@ -1,18 +1,27 @@
-"""One HTTP request that posts a message, bounded in time and memory against any behaviour of the other side.
+"""The message of a webhook, signed as standardwebhooks.com has it, and the HTTP request that posts it.
+
+A message is {type, timestamp, data}, and an id that is the same on every attempt; its signature is HMAC-SHA256 by a
+shared secret. The request is bounded in time and memory against any behaviour of the other side.
 
 Only a listed host is connected to, at an address that is allowed; no redirect is followed, no proxy asked, and of the
 answer nothing is read but its head.
 """
 
 import asyncio
+import base64
+import hashlib
+import hmac
+import json
 import ssl
 import time
-from collections.abc import Mapping
-from dataclasses import replace
+import uuid
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from http import client
 from socket import SOCK_STREAM, getaddrinfo
+from typing import Any
 
 import h11
 
@@ -22,11 +31,59 @@ from service.delivery.abandonable import start_abandonable
 from service.delivery.progress import EndpointAnswer
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 
+MAX_BYTES = 20_000
+"""Smallest message that comes without its details."""
+TEST = "webhook.test"
 CHUNK_BYTES = 4096
 MAX_HEAD_BYTES = 32 * 1024
 """Greatest head of an answer, with all interim answers before it."""
 MAX_ADDRESSES = 4
 """Addresses of a name that are tried."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Message:
+    """A message, ready to be signed."""
+
+    id: str
+    type: str
+    event: int | None  # its number; None for a test
+    body: bytes
+
+
+def message_of(event: Mapping[str, Any], instance_id: str) -> Message:
+    """Return the message of an event as the feed has it; one that is too large comes without its details."""
+    told = [event["seq"], event["at"], event["type"], event["subject"]]
+    # not of the instance: that is another one after a restored backup, and the event the same
+    digest = hashlib.sha256(json.dumps(told).encode()).hexdigest()[:16]
+    body = _body(event, instance_id, event["data"])
+    if len(body) >= MAX_BYTES:
+        body = _body(event, instance_id, None)
+    return Message(id=f"event-{event['seq']}-{digest}", type=event["type"], event=event["seq"], body=body)
+
+
+def trial_message(instance_id: str, at: str) -> Message:
+    """Return a message without an event, to test an endpoint."""
+    event = {"seq": None, "at": at, "type": TEST, "subject": "test"}
+    return Message(id=f"test-{uuid.uuid4()}", type=TEST, event=None, body=_body(event, instance_id, {}))
+
+
+def _body(event: Mapping[str, Any], instance_id: str, details: Mapping[str, Any] | None) -> bytes:
+    data = {
+        "instance_id": instance_id,
+        "seq": event["seq"],
+        "subject": event["subject"],
+        "details": details,
+    }
+    document = {"type": event["type"], "timestamp": event["at"], "data": data}
+    return json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode("utf-8", "replace")
+
+
+def signatures(keys: Iterable[bytes], message_id: str, timestamp_s: int, body: bytes) -> str:
+    """Return the header `webhook-signature`: one signature for each key, during a rotation of secrets two."""
+    signed = f"{message_id}.{timestamp_s}.".encode() + body
+    digests = (hmac.digest(key, signed, hashlib.sha256) for key in keys)
+    return " ".join(f"v1,{base64.b64encode(digest).decode()}" for digest in digests)
 
 
 class NoAnswerError(ServiceError):

@@ -1,5 +1,7 @@
 """`[webhooks]` and `[file_drop]` of the configuration: endpoints, their events, the folder for files of closed lots."""
 
+import base64
+import binascii
 import errno
 import re
 import ssl
@@ -16,7 +18,6 @@ from drivers.files.bounded import read_bounded
 from service.base.addresses import address_of, is_host
 from service.base.configured_paths import ConfiguredPath
 from service.base.language import Language
-from service.delivery.message import key_of
 from service.store.events import EventType
 
 PRIVATE_NETWORKS = ("10.0.0.0/8", "172.16.0.0/12", "192.168.0.0/16", "fc00::/7")
@@ -25,6 +26,21 @@ MAX_URL = 2000
 MAX_ENDPOINTS = 16
 MAX_SECRETS = 2
 MAX_SECRET_BYTES = 1000
+PREFIX = "whsec_"
+KEY_BYTES = range(24, 65)
+
+
+def key_of(secret: str) -> bytes:
+    """Return the key that a secret stands for; raise `ValueError` if it is none, without telling it."""
+    if not secret.startswith(PREFIX):
+        raise ValueError(f"a secret begins with {PREFIX}, see the guide")
+    try:
+        key = base64.b64decode(secret.removeprefix(PREFIX), validate=True)
+    except (binascii.Error, ValueError):
+        raise ValueError(f"a secret is {PREFIX} and base64") from None
+    if len(key) not in KEY_BYTES:
+        raise ValueError(f"a secret is base64 of 24 to 64 bytes, not of {len(key)}")
+    return key
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,8 +14,7 @@ from pipeline.frames import rfc3339
 from service.base.errors import ProblemError, ProblemKind, StoreError
 from service.base.status import Checks, trouble_check
 from service.delivery import table
-from service.delivery.message import Message, message_of, signatures, trial_message
-from service.delivery.posting import post
+from service.delivery.posting import Message, message_of, post, signatures, trial_message
 from service.delivery.progress import EndpointAnswer, EndpointProgress, next_progress
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 from service.delivery.table import Attempt

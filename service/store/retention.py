@@ -6,17 +6,23 @@ leaves nothing in doubt. Pinned results stay. Results that a consumer has not re
 
 import sqlite3
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from datetime import datetime, timedelta
 from enum import StrEnum
 
+from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
+from service.base.errors import TooManyError
+from service.base.schema import ANSWER, Time, adds_to
+from service.store import audit
+from service.store.events import CursorError
 
 STEP = 20
 """Results whose files, or rows, are removed at a time."""
 LOOK = 50
 """Oldest results that are looked at for it."""
 MOST = {"days": 36_500, "gb": 1_000_000, "percent": 100}
+MAX_CONSUMERS = 100
 FIRST_TIME = "2020"
 """Earlier times are of a clock that was not set, or unknown."""
 
@@ -49,6 +55,32 @@ class RetentionLimits:
     def files_age_days(self) -> float:
         """Age at which files are removed: at the latest with their results; 0: never."""
         return self.files_days or self.results_days
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParkedCursor:
+    """The place of a consumer, and since when."""
+
+    __pydantic_config__ = ANSWER
+
+    name: str
+    """Name that the consumer chose"""
+    after: int
+    """`seq` of the last result that it has"""
+    moved_at: Time
+    """When the cursor was parked, RFC 3339 UTC"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConsumerDocument(ParkedCursor):
+    """A named reader of the feed, and its place there."""
+
+    __pydantic_config__ = adds_to(ParkedCursor)
+
+    unread: int
+    """Results since"""
+    is_overrun: bool
+    """True when results that it has not read were removed: `[store.retention] consumer_days`"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,3 +194,60 @@ def _excess_bytes(connection: sqlite3.Connection, limits: RetentionLimits, disk:
     (files_bytes,) = connection.execute("SELECT files_bytes FROM store").fetchone()
     beyond_bytes = files_bytes - 1e9 * limits.max_files_gb if limits.max_files_gb else 0.0
     return float(max(beyond_bytes, -disk.spare_bytes(limits)) - going_bytes)
+
+
+def pin(connection: sqlite3.Connection, seq: int, reason: str | None, who: str) -> None:
+    """Pin a result for this reason, or no longer for None; one that was removed meanwhile stays so."""
+    before = _pin_of(connection, seq)
+    connection.execute("DELETE FROM pins WHERE seq = ?", (seq,))
+    if reason is not None:
+        connection.execute("INSERT INTO pins SELECT seq, ? FROM results WHERE seq = ?", (reason, seq))
+    after = _pin_of(connection, seq)
+    if after != before:
+        action = "particle unpinned" if after is None else "particle pinned"
+        audit.note(connection, who, action, str(seq), before=before, after=after)
+
+
+def _pin_of(connection: sqlite3.Connection, seq: int) -> dict[str, str] | None:
+    row = connection.execute("SELECT reason FROM pins WHERE seq = ?", (seq,)).fetchone()
+    return None if row is None else {"reason": row[0]}
+
+
+def park(connection: sqlite3.Connection, name: str, after: int) -> ConsumerDocument:
+    """Note that a consumer has read up to `after`; return the consumer.
+
+    Raises `CursorError` if the feed is not there yet, or no longer; `TooManyError` beyond `MAX_CONSUMERS`.
+    """
+    first_seq, last_seq = connection.execute("SELECT first_seq, last_seq FROM store").fetchone()
+    if not first_seq - 1 <= after <= last_seq:
+        problem = f"results {first_seq} to {last_seq} are kept: a cursor cannot be at {after}"
+        raise CursorError(problem, after, first_seq, last_seq)
+    connection.execute("INSERT OR REPLACE INTO consumers VALUES (?, ?, ?)", (name, after, utc_now()))
+    (n,) = connection.execute("SELECT count(*) FROM consumers").fetchone()
+    if n > MAX_CONSUMERS:
+        raise TooManyError("consumers", f"there are {MAX_CONSUMERS} consumers: delete one of them")
+    return next(consumer for consumer in consumers(connection) if consumer.name == name)
+
+
+def consumers(connection: sqlite3.Connection) -> list[ConsumerDocument]:
+    """Return all consumers, by name."""
+    rows = connection.execute(
+        "SELECT name, after_seq, moved_at, last_seq - after_seq, after_seq < first_seq - 1"
+        " FROM consumers, store ORDER BY name"
+    )
+    return [
+        ConsumerDocument(
+            name=name, after=after, moved_at=moved_at, unread=unread, is_overrun=bool(is_overrun)
+        )
+        for name, after, moved_at, unread, is_overrun in rows
+    ]
+
+
+def forget(connection: sqlite3.Connection, name: str, who: str) -> bool:
+    """Delete a consumer; return whether there was one."""
+    before = next((each for each in consumers(connection) if each.name == name), None)
+    if before is None:
+        return False
+    connection.execute("DELETE FROM consumers WHERE name = ?", (name,))
+    audit.note(connection, who, "consumer deleted", name, before=asdict(before))
+    return True

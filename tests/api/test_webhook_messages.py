@@ -13,7 +13,7 @@ from service.calibration.files import Activation
 from service.calibration.verifications import Verification, VerificationState
 from service.daemon.alarming import LASTING_S, Alarming, acquisition_changed, verification_ended
 from service.daemon.rest.openapi import openapi_text
-from service.delivery.message import message_of, trial_message
+from service.delivery.posting import message_of, trial_message
 from service.health.alarms.alarms import open_alarms
 from service.lots.lots import LotDefinition, close_lot, open_lot, void_lot
 from service.lots.products import ProductDefinition, save_product

@@ -10,7 +10,7 @@ from service.base.schema import TIME
 from service.calibration.files import Activation
 from service.calibration.verification_limits import Summary
 from service.calibration.verifications import Verification
-from service.delivery.message import TEST
+from service.delivery.posting import TEST
 from service.health.routes.alarms import AlarmDocument
 from service.health.routes.health import HealthDocument
 from service.lots.lots import LotDocument

@@ -8,9 +8,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.particles.routes.particles import ParticleKey, find_record, record_response, record_tag
 from service.results.fields import Result
-from service.store.holds import pin
 from service.store.particle_files import first_seq
 from service.store.reads import particle as stored_particle
+from service.store.retention import pin
 from service.web.auth import OPERABLE, Who
 from service.web.context import Context
 from service.web.etags import IfMatch, change_if_match

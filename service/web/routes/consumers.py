@@ -8,8 +8,7 @@ from fastapi import APIRouter, Path, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.base.ids import ID
-from service.base.schema import TIME
-from service.store.holds import Consumer, consumers, forget, park
+from service.store.retention import ConsumerDocument, ParkedCursor, consumers, forget, park
 from service.web.auth import OPERABLE, READABLE, Who
 from service.web.context import Context
 from service.web.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unchanged
@@ -19,23 +18,6 @@ from service.web.problems import existing, problem_responses
 router = APIRouter(prefix="/consumers", tags=["results"])
 
 ConsumerName = Annotated[str, Path(pattern=ID, description="Name that the consumer chooses")]
-
-
-class ParkedCursor(BaseModel):
-    """The place of a consumer, and since when."""
-
-    name: str = Field(description="Name that the consumer chose")
-    after: int = Field(description="`seq` of the last result that it has")
-    moved_at: str = Field(description="When the cursor was parked, RFC 3339 UTC", json_schema_extra=TIME)
-
-
-class ConsumerDocument(ParkedCursor):
-    """A named reader of the feed, and its place there."""
-
-    unread: int = Field(description="Results since")
-    is_overrun: bool = Field(
-        description="True when results that it has not read were removed: `[store.retention] consumer_days`"
-    )
 
 
 class Consumers(BaseModel):
@@ -52,10 +34,10 @@ class Cursor(BaseModel):
     after: int = Field(ge=0, le=MAX_SEQ, strict=True, description="`next_after` of the last page that it has")
 
 
-@router.get("", response_model=Consumers, dependencies=READABLE)
-async def list_consumers(context: Context) -> dict[str, Any]:
+@router.get("", dependencies=READABLE)
+async def list_consumers(context: Context) -> Consumers:
     """List the consumers."""
-    return {"items": [asdict(consumer) for consumer in await context.store.read(consumers)]}
+    return Consumers(items=await context.store.read(consumers))
 
 
 @router.get("/{name}/cursor", response_model=ParkedCursor, dependencies=READABLE, responses=NOT_MODIFIED)
@@ -66,15 +48,10 @@ async def parked_cursor(context: Context, request: Request, response: Response, 
     return unchanged(request, _tag(found)) or asdict(found)
 
 
-@router.put(
-    "/{name}/cursor",
-    response_model=ConsumerDocument,
-    dependencies=OPERABLE,
-    responses=problem_responses(409, 410),
-)
+@router.put("/{name}/cursor", dependencies=OPERABLE, responses=problem_responses(409, 410))
 async def park_cursor(
     context: Context, response: Response, name: ConsumerName, cursor: Cursor, if_match: IfMatch = None
-) -> dict[str, Any]:
+) -> ConsumerDocument:
     """Park the cursor of a consumer, which this makes known; results after it are kept for longer.
 
     409 `cursor-ahead` and 410 `cursor-expired` as at `/results`; 409 `too-many-consumers`. 412 with `If-Match` when
@@ -86,9 +63,11 @@ async def park_cursor(
         return None if found is None else _tag(found)
 
     context.store.require_writable()
-    parked = await context.store.write(change_if_match, if_match, version, park, name, cursor.after)
+    parked: ConsumerDocument = await context.store.write(
+        change_if_match, if_match, version, park, name, cursor.after
+    )
     response.headers["ETag"] = _tag(parked)
-    return asdict(parked)
+    return parked
 
 
 @router.delete("/{name}", status_code=204, response_class=Response, dependencies=OPERABLE)
@@ -99,10 +78,10 @@ async def delete_consumer(context: Context, name: ConsumerName, asking: Who) -> 
     existing(is_forgotten or None, "consumer", repr(name))
 
 
-def _find(connection: sqlite3.Connection, name: str) -> Consumer | None:
+def _find(connection: sqlite3.Connection, name: str) -> ConsumerDocument | None:
     return next((consumer for consumer in consumers(connection) if consumer.name == name), None)
 
 
-def _tag(parked: Consumer) -> str:
+def _tag(parked: ParkedCursor) -> str:
     """Return the version of a cursor; results that come meanwhile are no change of it."""
     return etag(parked.name, parked.after, parked.moved_at)

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from support.webhook_receiver import KEY, OTHER_KEY, SECRET, is_signed, secret_of
 
-from service.delivery.message import MAX_BYTES, key_of, message_of, signatures, trial_message
+from service.delivery.posting import MAX_BYTES, message_of, signatures, trial_message
+from service.delivery.settings import key_of
 
 GUIDE = Path(__file__).parents[4] / "service" / "web" / "README.md"
 INSTANCE = "141fc8a1-0136-4f71-9b89-bda3f11805d3"

@@ -12,16 +12,18 @@ from support.rest import particle_files
 from service.store import Store
 from service.store.accounting import accounting
 from service.store.checks import days_until_full, store_use
-from service.store.holds import consumers, park, pin
 from service.store.reads import particle, results_after
 from service.store.retention import (
     STEP,
     Disk,
     RetentionLimits,
+    consumers,
     files_going,
     is_older,
     mark_files,
     note_gone,
+    park,
+    pin,
     remove_results,
 )
 

@@ -26,9 +26,16 @@ from service.store.accounting import accounting
 from service.store.audit import entries
 from service.store.backups import restore
 from service.store.events import events_after
-from service.store.holds import pin
 from service.store.reads import newest_folder, particle, particles, results_after, seq_before
-from service.store.retention import Disk, RetentionLimits, files_going, mark_files, note_gone, remove_results
+from service.store.retention import (
+    Disk,
+    RetentionLimits,
+    files_going,
+    mark_files,
+    note_gone,
+    pin,
+    remove_results,
+)
 from service.store.sweep import sweep
 
 WIDE = Disk(total_bytes=10**12, free_bytes=10**11)
