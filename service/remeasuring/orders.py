@@ -133,7 +133,7 @@ def _read_record(path: Path, before: Record) -> Result:
 
 
 def _unpickled(path: Path, kind: type[Content]) -> Content:
-    found = pickle.loads(path.read_bytes())  # noqa: S301 - of our own user, see `service.commands.remeasure_on_cluster`
+    found = pickle.loads(path.read_bytes())  # noqa: S301 - of our own user, see `service.commands.remeasure`
     if not isinstance(found, kind):
         raise TypeError(f"{path} holds no {kind.__name__}")
     return found

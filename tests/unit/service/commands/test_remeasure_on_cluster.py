@@ -16,10 +16,10 @@ from drivers.errors import RecordingError
 from pipeline.frames import CameraId
 from pipeline.particle import PipelineParameters
 from service.base.errors import UsageError
-from service.commands import remeasure_on_cluster as module
+from service.commands import remeasure as module
 from service.commands.daemon_client import DaemonClient, DaemonError
 from service.commands.measuring_pool import IN_FLIGHT
-from service.commands.remeasure_on_cluster import OrderingDaemon, RemeasuredIds, remeasure_on_cluster
+from service.commands.remeasure import OrderingDaemon, RemeasuredIds, remeasure_on_cluster
 from service.processing.measure_job import MeasuredBundle, MeasureJob, RigFile, WorkerContext
 from service.processing.worker_pool import JobLostError
 from service.remeasuring.orders import Order
