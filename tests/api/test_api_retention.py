@@ -20,7 +20,7 @@ from support.stores import folder_of
 from drivers.files.compact_mesh import write_compact_mesh
 from drivers.files.mesh_file import write_mesh
 from drivers.files.recording import open_recording
-from service.store import Store, holds
+from service.store import Store, retention
 from service.store.retention import Disk, RetentionLimits, mark_files, remove_results
 from service.web.settings import ApiKey, ApiSettings, Scope
 
@@ -127,7 +127,7 @@ async def test_consumers(
     assert [item["seq"] for item in (await client.get("/results?after=3")).json()["items"]] == [4]
     assert (await client.put("/consumers/mes/cursor", json={"after": 4})).json()["is_overrun"] is False
 
-    monkeypatch.setattr(holds, "MAX_CONSUMERS", 1)
+    monkeypatch.setattr(retention, "MAX_CONSUMERS", 1)
     assert_problem(await client.put("/consumers/more/cursor", json={"after": 4}), 409, "too-many-consumers")
     assert (await client.delete("/consumers/mes")).status_code == 204
     assert_problem(await client.delete("/consumers/mes"), 404, "unknown-consumer")
