@@ -3,7 +3,7 @@
 import json
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
 import typer
@@ -30,34 +30,32 @@ By = Annotated[str | None, typer.Option(help="Who decides; kept with the calibra
 
 @dataclass(frozen=True, slots=True)
 class StartOptions:
-    """Options of `stonefall calibration start`."""
+    """Options of `stonefall calibration start`: members of the request."""
 
-    ball_diameter_mm: Annotated[
+    ball_diameters_mm: Annotated[
         list[float] | None,
-        typer.Option(help="Diameter of the ball, mm; give it twice for balls of two sizes."),
+        typer.Option(
+            "--ball-diameter-mm", help="Diameter of the ball, mm; give it twice for balls of two sizes."
+        ),
     ] = None
     method: Annotated[str, typer.Option(help="bundle, paper, or stones (without a ball).")] = "bundle"
     note: Note = None
     by: By = None
-    follow: Follow = False
 
 
 @command.command()
 @with_options
-def start(options: StartOptions, daemon: DaemonClient, as_json: AsJson = False) -> None:
+def start(
+    options: StartOptions, follow: Follow = False, *, daemon: DaemonClient, as_json: AsJson = False
+) -> None:
     """Open a calibration. Drop the ball through the whole field of view, then `solve`."""
-    wanted = {
-        "ball_diameters_mm": options.ball_diameter_mm or [],
-        "method": options.method,
-        "note": options.note,
-        "by": options.by,
-    }
+    wanted = {**asdict(options), "ball_diameters_mm": options.ball_diameters_mm or []}
     record = daemon.ask("/calibrations", wanted)
-    if as_json and not options.follow:
+    if as_json and not follow:
         typer.echo(json.dumps(record))
         return
     typer.echo(f"calibration {record['id']}: everything that falls now is observed")
-    if options.follow:
+    if follow:
         _follow(daemon, record["id"], as_json)
 
 
@@ -204,7 +202,16 @@ def _show(details: Mapping[str, Any], as_json: bool = False) -> None:
     extent = " x ".join(f"{each:.1f}" for each in coverage["extent_mm"])
     typer.echo(f"  balls within {extent} mm; missing: {coverage['missing'] or 'nothing'}")
     if report is not None:
-        typer.echo(_summary(report))
+        sd = (report["uncertainty"] or {}).get("length_sd_percent")
+        lens = ""
+        if lenses := report.get("lenses"):  # older reports have none
+            focus_mm = [found["value"] for found in lenses["focus_mm"].values()]
+            where = f" focused at {min(focus_mm):.1f} to {max(focus_mm):.1f} mm" if focus_mm else ""
+            lens = f", lenses F{lenses['f_number']['value']:.2f}{where}"
+        typer.echo(
+            f"  scale {report['scale']}, held out {_px(report['held_out_px'])} px,"
+            f" length {'unknown' if sd is None else f'+-{sd:.4f} %'}, {len(report['drops_used'])} drops used{lens}"
+        )
         for problem in report["problems"]:
             typer.echo(f"  {problem['camera'] or 'rig'}: {problem['detail']}")
     after = {} if report is None else report["residuals_after_px"]
@@ -218,20 +225,6 @@ def _show(details: Mapping[str, Any], as_json: bool = False) -> None:
             _px(after.get(camera)),
         )
     Console().print(table)
-
-
-def _summary(report: Mapping[str, Any]) -> str:
-    uncertainty = report["uncertainty"] or {}
-    sd = uncertainty.get("length_sd_percent")
-    lens = ""
-    if lenses := report.get("lenses"):  # older reports have none
-        focus_mm = [found["value"] for found in lenses["focus_mm"].values()]
-        where = f" focused at {min(focus_mm):.1f} to {max(focus_mm):.1f} mm" if focus_mm else ""
-        lens = f", lenses F{lenses['f_number']['value']:.2f}{where}"
-    return (
-        f"  scale {report['scale']}, held out {_px(report['held_out_px'])} px,"
-        f" length {'unknown' if sd is None else f'+-{sd:.4f} %'}, {len(report['drops_used'])} drops used{lens}"
-    )
 
 
 def _px(value: float | None) -> str:

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from drivers.files.durable import write_file
 from service.base.errors import UsageError
-from service.commands.daemon_client import DEFAULT_URL, AsJson, DaemonClient, Key, Url
+from service.commands.daemon_client import AsJson, DaemonClient
 from service.commands.options import with_options
 
 FORMATS = ("html", "pdf", "csv", "xlsx")
@@ -40,20 +40,16 @@ class ProductOptions:
     specification: Annotated[str | None, typer.Option(help="Category or size, such as GC85-20.")] = None
     flakiness_category: Annotated[str | None, typer.Option(help="Such as FI20.")] = None
     shape_category: Annotated[str | None, typer.Option(help="Such as SI20.")] = None
-    url: Url = DEFAULT_URL
-    key: Key = None
-    as_json: AsJson = False
 
 
 @command.command()
 @with_options
-def product(options: ProductOptions) -> None:
+def product(options: ProductOptions, daemon: DaemonClient, as_json: AsJson = False) -> None:
     """Define a product, or change it: a change is a new version, and lots keep theirs."""
-    name, wanted = options.name, _requested(options)
-    wanted |= {"name": None, "title": options.title or name}
-    daemon = DaemonClient(options.url, options.key)
+    name = options.name
+    wanted = {**asdict(options), "name": None, "title": options.title or name}
     saved = daemon.ask(f"/products/{quote(name)}", wanted, method="PUT")
-    typer.echo(json.dumps(saved) if options.as_json else f"product {name}, version {saved['version']}")
+    typer.echo(json.dumps(saved) if as_json else f"product {name}, version {saved['version']}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,16 +64,13 @@ class OpenOptions:
     sampler: str | None = None
     tonnage_t: float | None = None
     remark: str | None = None
-    url: Url = DEFAULT_URL
-    key: Key = None
-    as_json: AsJson = False
 
 
 @command.command("open")
 @with_options
-def open_(options: OpenOptions) -> None:
+def open_(options: OpenOptions, daemon: DaemonClient, as_json: AsJson = False) -> None:
     """Open a lot: what falls from now on is in it."""
-    _show(DaemonClient(options.url, options.key).ask("/lots", _requested(options)), options.as_json)
+    _show(daemon.ask("/lots", asdict(options)), as_json)
 
 
 @command.command()
@@ -123,10 +116,9 @@ def list_(daemon: DaemonClient, as_json: AsJson = False) -> None:
         return
     table = Table("lot", "state", "product", "opened", "closed", "stones")
     for lot in page["items"]:
+        times = (lot["opened_at"], lot["closed_at"])
         version = f"{lot['product']} ({lot['product_version']})"
-        table.add_row(
-            lot["lot"], lot["state"], version, lot["opened_at"], lot["closed_at"], str(lot["n_stones"])
-        )
+        table.add_row(lot["lot"], lot["state"], version, *times, str(lot["n_stones"]))
     Console().print(table)
 
 
@@ -198,12 +190,9 @@ def why_open(figures: dict[str, Any]) -> str | None:
         for name, decision in judged
         if decision and decision["verdict"] in OPEN
     ]
-    n_stones = figures["measured"]
-    few = (
-        f"{n_stones} stones are too few for a verdict"
-        if figures["verdict"] == "insufficient"
-        else (f"with {n_stones} stones the 95 % interval reaches over a limit")
-    )
+    few = f"with {figures['measured']} stones the 95 % interval reaches over a limit"
+    if figures["verdict"] == "insufficient":
+        few = f"{figures['measured']} stones are too few for a verdict"
     never = [name for name, more in still_open if more is None]
     if never:
         return f"open, as {few}; no number of stones would decide {', '.join(never)}"
@@ -228,11 +217,6 @@ def curve_table(figures: dict[str, Any]) -> Table:
             decision["verdict"].replace("_", " ") if decision else "",
         )
     return table
-
-
-def _requested(options: ProductOptions | OpenOptions) -> dict[str, Any]:
-    """Return the options but for those of the client: members of the request's body."""
-    return {name: value for name, value in asdict(options).items() if name not in ("url", "key", "as_json")}
 
 
 def _show(lot: dict[str, Any], as_json: bool) -> None:

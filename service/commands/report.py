@@ -1,6 +1,6 @@
 """`stonefall report`: the report of offline results, as of a lot."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated
@@ -23,51 +23,44 @@ from service.web.version import API_VERSION
 
 
 @dataclass(frozen=True, slots=True)
-class ReportOptions:
-    """Options of `stonefall report`."""
+class ProductOptions:
+    """Options of `stonefall report` that define the product."""
 
-    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="Folder that `stonefall measure` wrote.")]
-    out: Annotated[Path, typer.Option(help="Folder for report.html, .pdf, .csv and .xlsx.")]
     title: Annotated[str, typer.Option(help="Name of the product.")] = "offline results"
     density_kg_m3: Annotated[float, typer.Option(help="Density of the particles, kg/m3.")] = 2700.0
     lower_mm: Annotated[float | None, typer.Option(help="d of a product d/D, mm.")] = None
     upper_mm: Annotated[float | None, typer.Option(help="D of it, mm.")] = None
     sieve_set: Annotated[str, typer.Option("--sieves", help="Name of a sieve set.")] = "stonefall"
     specification: Annotated[str | None, typer.Option(help="Category or size, such as GC85-20.")] = None
-    language: Annotated[Language, typer.Option(help="Language of the report.")] = Language.ENGLISH
 
 
 @with_options
-def command(options: ReportOptions) -> None:
+def command(
+    results: Annotated[
+        Path, typer.Argument(metavar="RESULTS", help="Folder that `stonefall measure` wrote.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for report.html, .pdf, .csv and .xlsx.")],
+    product: ProductOptions,
+    language: Annotated[Language, typer.Option(help="Language of the report.")] = Language.ENGLISH,
+) -> None:
     """Write the report of measured results: curve with its interval, indices, verdict, accounting."""
-    records = read_results(options.results)
-    product = Product(
-        product=options.title,
-        version=1,
-        created_at=utc_now(),
-        title=options.title,
-        density_kg_m3=options.density_kg_m3,
-        lower_mm=options.lower_mm,
-        upper_mm=options.upper_mm,
-        sieve_set=options.sieve_set,
-        specification=options.specification,
-    )
+    defined = Product(product=product.title, version=1, created_at=utc_now(), **asdict(product))
     try:
-        figures = figures_of(stones_in(records), Request(), product)
+        figures = figures_of(stones_in(read_results(results)), Request(), defined)
     except UnknownYardstickError as err:
         raise UsageError(str(err)) from err
     data = ReportData(
         figures=figures,
         created_at=utc_now(),
-        language=options.language,
+        language=language,
         software_version=metadata.version("stonefall"),
         api_version=API_VERSION,
     )
     try:
-        options.out.mkdir(parents=True, exist_ok=True)
+        out.mkdir(parents=True, exist_ok=True)
         for report_format in ReportFormat:
-            write_file(options.out / f"report.{report_format}", render(data, report_format))
+            write_file(out / f"report.{report_format}", render(data, report_format))
     except OSError as err:
-        raise ServiceError(f"--out {options.out}: {err.strerror}") from err
+        raise ServiceError(f"--out {out}: {err.strerror}") from err
     verdict = "" if figures.verdict is None else f": {figures.verdict.replace('_', ' ')}"
-    typer.echo(f"{options.out}: report of {figures.measured} stones{verdict}")
+    typer.echo(f"{out}: report of {figures.measured} stones{verdict}")
