@@ -52,19 +52,15 @@ def command(
 
 def alarm_as_text(alarm: Mapping[str, Any]) -> str:
     """Return an alarm in a few lines: how urgent, since when and for how long; what is wrong, why, what to do."""
+    raised = datetime.fromisoformat(alarm["raised_at"])
+    times = f"raised {raised:%Y-%m-%d %H:%M:%S} UTC"
+    if alarm["occurrences"] > 1:
+        times = f"first {times}, {alarm['occurrences']} times in all"
+    if alarm["state"] in (AlarmState.RETURNED, AlarmState.NORMAL) and alarm["cleared_at"] is not None:
+        lasted = datetime.fromisoformat(alarm["cleared_at"]) - raised
+        times += f", gone after {timedelta(seconds=max(0, round(lasted.total_seconds())))}"  # a clock may be set back
     lines = (
-        f"{alarm['id']:>5}  {alarm['priority']}  {alarm['check']}  {STATES[alarm['state']]}; {_times(alarm)}",
+        f"{alarm['id']:>5}  {alarm['priority']}  {alarm['check']}  {STATES[alarm['state']]}; {times}",
         *(f"       {text}" for text in (alarm["detail"], alarm["cause"], f"-> {alarm['action']}") if text),
     )
     return "\n".join(lines)
-
-
-def _times(alarm: Mapping[str, Any]) -> str:
-    raised = datetime.fromisoformat(alarm["raised_at"])
-    text = f"raised {raised:%Y-%m-%d %H:%M:%S} UTC"
-    if alarm["occurrences"] > 1:
-        text = f"first {text}, {alarm['occurrences']} times in all"
-    if alarm["state"] in (AlarmState.RETURNED, AlarmState.NORMAL) and alarm["cleared_at"] is not None:
-        lasted = datetime.fromisoformat(alarm["cleared_at"]) - raised
-        text += f", gone after {timedelta(seconds=max(0, round(lasted.total_seconds())))}"  # a clock may be set back
-    return text

@@ -76,7 +76,13 @@ def command(options: RehearseOptions) -> None:
         raise UsageError(f"--port {port}: something else listens there")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     with ExitStack() as running:
-        where = _folder(options.folder, running)
+        if options.folder is None:
+            where = Path(running.enter_context(tempfile.TemporaryDirectory(prefix="stonefall-rehearse-")))
+        else:
+            where = options.folder.absolute()
+            where.mkdir(parents=True, exist_ok=True)
+            if any(where.iterdir()):
+                raise UsageError(f"--folder {options.folder}: must be empty")
 
         def say(text: str) -> None:
             typer.echo(f"{time.strftime('%H:%M:%S')}  {text}", err=options.as_json)
@@ -102,12 +108,3 @@ def command(options: RehearseOptions) -> None:
         sys.stdout.flush()
         say(f"the daemon ends in {options.linger_s:g} s")
         time.sleep(options.linger_s)
-
-
-def _folder(wanted: Path | None, running: ExitStack) -> Path:
-    if wanted is None:
-        return Path(running.enter_context(tempfile.TemporaryDirectory(prefix="stonefall-rehearse-")))
-    wanted.mkdir(parents=True, exist_ok=True)
-    if any(wanted.iterdir()):
-        raise UsageError(f"--folder {wanted}: must be empty")
-    return wanted.absolute()

@@ -94,7 +94,7 @@ class Day:
                 self._say(step.say)
             getattr(self, step.do)(**step.arguments)
             self._look()
-        lots = [self._lot(lot["lot"]) for lot in reversed(self._daemon.ask("GET", "/lots")["items"])]
+        lots = [self._lot(lot["lot"]) for lot in reversed(self._daemon.ask("/lots")["items"])]
         alarms = [{name: alarm[name] for name in OF_ALARMS} for alarm in self._alarms()]
         self._look()
         return self._observer.expected(self._script.name, lots, alarms, self._health)
@@ -102,13 +102,14 @@ class Day:
     # --- what a MES does ---
 
     def product(self, name: str, **words: Any) -> None:
-        self._daemon.ask("PUT", f"/products/{name}", {"title": name, "density_kg_m3": 2700.0, **words})
+        wanted = {"title": name, "density_kg_m3": 2700.0, **words}
+        self._daemon.ask(f"/products/{name}", wanted, "PUT")
 
     def open(self, lot: str, **words: Any) -> None:
-        self._daemon.ask("POST", "/lots", {"lot": lot, **words})
+        self._daemon.ask("/lots", {"lot": lot, **words})
 
     def close(self, lot: str, **words: Any) -> None:
-        self._daemon.ask("POST", f"/lots/{lot}/close", words)
+        self._daemon.ask(f"/lots/{lot}/close", words)
 
     # --- stones ---
 
@@ -173,7 +174,7 @@ class Day:
     def verify(self, diameter_mm: float, count: int) -> None:
         """Drop balls until a verification has its verdict."""
         wanted = {"diameter_mm": diameter_mm, "count": count, "by": "rehearsal"}
-        name = self._daemon.ask("POST", "/verifications", wanted)["id"]
+        name = self._daemon.ask("/verifications", wanted)["id"]
         self.flow()
         self._daemon.wait_for(f"/verifications/{name}", lambda now: now["state"] != "collecting")
         self.rest()
@@ -230,7 +231,7 @@ class Day:
 
     def _alarms(self) -> list[dict[str, Any]]:
         """Return all alarms of the day, oldest first, once the store has those that are known."""
-        known = {alarm["id"] for listed in self._daemon.ask("GET", "/alarms").values() for alarm in listed}
+        known = {alarm["id"] for listed in self._daemon.ask("/alarms").values() for alarm in listed}
         history = self._daemon.wait_for(
             f"/alarms/history?limit=1000&language={self._language}",
             lambda found: known <= {alarm["id"] for alarm in found["items"]},
@@ -238,8 +239,8 @@ class Day:
         return list(reversed(history["items"]))
 
     def _lot(self, lot: str) -> dict[str, Any]:
-        figures = self._daemon.ask("GET", f"/lots/{lot}/gradation")
-        known = self._daemon.ask("GET", f"/lots/{lot}")
+        figures = self._daemon.ask(f"/lots/{lot}/gradation")
+        known = self._daemon.ask(f"/lots/{lot}")
         return {"lot": lot, "state": known["state"], **{name: figures[name] for name in OF_LOTS}}
 
 

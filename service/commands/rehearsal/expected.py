@@ -28,15 +28,6 @@ class Earlier(Results):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Gap:
-    """Results that were removed before a client could read them."""
-
-    instance_id: str
-    first_seq: int
-    last_seq: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Expected:
     """What a client has seen that followed all day, and asked again whenever it had no answer."""
 
@@ -47,7 +38,9 @@ class Expected:
     followed: Results  # of this history, by a client that followed all day
     kept: Results  # of this history, by one that begins now
     earlier: tuple[Earlier, ...]
-    gaps: tuple[Gap, ...]
+    gaps: tuple[
+        dict[str, Any], ...
+    ]  # removed before a client could read them: history, first and last number
     outcomes: dict[str, int]  # of what is kept; with the reason where there is one
     lots: tuple[dict[str, Any], ...]
     alarms: tuple[dict[str, Any], ...]  # in the order in which they were raised
@@ -62,7 +55,7 @@ class Observer:
     state_dir: Path
     histories: dict[str, dict[int, str]] = field(default_factory=dict)
     """By `instance_id`, in order: ids by `seq`."""
-    gaps: list[Gap] = field(default_factory=list)
+    gaps: list[dict[str, Any]] = field(default_factory=list)
 
     def look(self) -> None:
         """Note all results that the store has now: before anything happens to it, and while it can be reached."""
@@ -70,7 +63,8 @@ class Observer:
         seen = self.histories.setdefault(instance_id, {})
         newest = max(seen, default=0)
         if seen and first_seq > newest + 1:
-            self.gaps.append(Gap(instance_id=instance_id, first_seq=newest + 1, last_seq=first_seq - 1))
+            gap = {"instance_id": instance_id, "first_seq": newest + 1, "last_seq": first_seq - 1}
+            self.gaps.append(gap)
         seen.update({seq: id_ for seq, id_, _, _ in rows})
 
     def expected(self, script: str, lots: Any, alarms: Any, health: Iterable[str]) -> Expected:
@@ -136,7 +130,8 @@ def as_text(expected: Expected) -> str:
         f"earlier     {_line(results)} of {results.instance_id}, lost with it" for results in expected.earlier
     ]
     lines += [
-        f"gap         results {gap.first_seq} to {gap.last_seq} of {gap.instance_id}" for gap in expected.gaps
+        f"gap         results {gap['first_seq']} to {gap['last_seq']} of {gap['instance_id']}"
+        for gap in expected.gaps
     ]
     lines += [f"outcome     {n:4} {outcome}" for outcome, n in expected.outcomes.items()]
     lines += [

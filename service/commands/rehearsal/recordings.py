@@ -61,26 +61,26 @@ def _write(kind: RehearsedRecording, path: Path) -> None:
 
 
 def _falling(kind: RehearsedRecording, rig: RigCalibration, simulated: RenderedRig) -> Iterator[FrameBundle]:
-    for number in range(N_STONES):
-        body = _stone(number)
-        yield _bundle([tumble(body, rig, stream(SEED, 4, number))], simulated, number, body.name)
+    def stones(numbers: range, seen_by: RenderedRig) -> Iterator[FrameBundle]:
+        for number in numbers:
+            body = _stone(number)
+            yield _bundle([tumble(body, rig, stream(SEED, 4, number))], seen_by, number, body.name)
+
+    yield from stones(range(N_STONES), simulated)
     if kind is RehearsedRecording.BALLS:
         for number in range(N_STONES, N_STONES + N_BALLS):
             placed = drop_across(ball(), rig, stream(SEED, 3, number))
             yield _bundle([placed], simulated, number, "ball")
-        return
-    if kind is RehearsedRecording.BUMPED:
+    elif kind is RehearsedRecording.BUMPED:
         shaken = simulate_rig(_bumped(rig), stream(SEED, 0))
-        for number in range(N_STONES, N_STONES + N_BUMPED):
-            body = _stone(number)
-            yield _bundle([tumble(body, rig, stream(SEED, 4, number))], shaken, number, body.name)
-        return
-    sides = [
-        PlacedBody(body=_stone(3), R=np.eye(3), offset_mm=np.array([x, 0.0, 0.0]))
-        for x in (-APART_MM, APART_MM)
-    ]
-    yield _bundle(sides, simulated, N_STONES, "two")
-    yield _bundle([], simulated, N_STONES + 1, "nothing")
+        yield from stones(range(N_STONES, N_STONES + N_BUMPED), shaken)
+    else:
+        sides = [
+            PlacedBody(body=_stone(3), R=np.eye(3), offset_mm=np.array([x, 0.0, 0.0]))
+            for x in (-APART_MM, APART_MM)
+        ]
+        yield _bundle(sides, simulated, N_STONES, "two")
+        yield _bundle([], simulated, N_STONES + 1, "nothing")
 
 
 def _bundle(bodies: list[PlacedBody], simulated: RenderedRig, number: int, label: str) -> FrameBundle:

@@ -1,6 +1,5 @@
 """The daemon of a rehearsal: a process that the script configures, kills, stops and starts."""
 
-import json
 import socket
 import subprocess
 import sys
@@ -8,19 +7,18 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
 from datetime import datetime, tzinfo
-from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import Any, Self
 
 import tomli_w
 
 from service.base.errors import ServiceError
-from service.web.version import BASE
+from service.commands.daemon_client import DaemonClient, DaemonError
 
 HOST = "127.0.0.1"
 PATIENCE_S = 300.0
 """Longest wait for anything; the first start on a machine compiles for a minute or two."""
-STOP_S = 60.0
+STOP_S = ANSWER_S = 60.0
 POLL_S = 0.1
 SERVE = "from service.commands.cli import main; main()"
 BY_OWN_CLOCK = (
@@ -37,22 +35,14 @@ class RehearsalError(ServiceError):
 
 
 class RehearsedDaemon:
-    """A daemon in a folder; not running until it is started.
-
-    Attributes
-    ----------
-    settings
-        The configuration that the next start has, as TOML has it.
-    clock
-        The file that its wall clock follows, see `set_ahead`.
-    """
+    """A daemon in a folder; not running until it is started."""
 
     def __init__(self, folder: Path, settings: Mapping[str, Any], port: int, *, has_own_clock: bool) -> None:
         self.folder = folder
-        self.settings = dict(settings)
+        self.settings = dict(settings)  # of the next start, as TOML has them
         self.port = port
         self.state_dir = folder / "state"
-        self.clock = folder / "clock"
+        self.clock = folder / "clock"  # its wall clock follows the file, see `set_ahead`
         self._config, self._log = folder / "stonefall.toml", folder / "daemon.log"
         self._has_own_clock = has_own_clock
         self._process: subprocess.Popen[bytes] | None = None
@@ -87,26 +77,18 @@ class RehearsedDaemon:
             self._process.wait()
             self._process = None
 
-    def ask(self, method: str, path: str, body: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return the answer to a request; raise `RehearsalError` if it refuses, or does not answer."""
-        with closing(HTTPConnection(HOST, self._asked_port, timeout=60)) as connection:
-            headers = {"Content-Type": "application/json"} if body is not None else {}
-            content = None if body is None else json.dumps(body)
-            try:
-                connection.request(method, f"{BASE}{path}", content, headers)
-                answer = connection.getresponse()
-                document = json.loads(answer.read())
-            except (OSError, HTTPException, ValueError) as err:
-                raise RehearsalError(f"{method} {path}: no answer: {err}") from err
-        if answer.status >= 400:
-            raise RehearsalError(f"{method} {path}: {answer.status}: {document.get('detail')}")
-        return dict(document)
+    def ask(
+        self, path: str, body: Mapping[str, Any] | None = None, method: str | None = None
+    ) -> dict[str, Any]:
+        """Return the answer to a request, as `DaemonClient.ask` does."""
+        client = DaemonClient(f"http://{HOST}:{self._asked_port}")
+        return client.ask(path, body, method=method, timeout_s=ANSWER_S)
 
     def find(self, path: str) -> dict[str, Any] | None:
         """Return the document at a path, None while there is no answer or nothing there."""
         try:
-            return self.ask("GET", path)
-        except RehearsalError:
+            return self.ask(path)
+        except DaemonError:
             return None
 
     def wait_for(self, path: str, is_enough: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:

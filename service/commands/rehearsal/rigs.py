@@ -46,11 +46,11 @@ class ReplayedRig:
         return {"rig": {"backend": "replay", **recording}}
 
     def flow(self, daemon: RehearsedDaemon) -> None:
-        daemon.ask("PUT", "/acquisition", {"state": AcquisitionTarget.ARMED})
+        daemon.ask("/acquisition", {"state": AcquisitionTarget.ARMED}, "PUT")
 
     def rest(self, daemon: RehearsedDaemon) -> None:
         daemon.wait_for("/acquisition", lambda now: now["state"] in SETTLED)
-        daemon.ask("PUT", "/acquisition", {"state": AcquisitionTarget.DISARMED})
+        daemon.ask("/acquisition", {"state": AcquisitionTarget.DISARMED}, "PUT")
         daemon.wait_for("/acquisition", lambda now: now["state"] == AcquisitionState.DISARMED)
 
     def fault(self, request: Mapping[str, Any]) -> None:

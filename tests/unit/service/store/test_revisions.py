@@ -184,9 +184,9 @@ async def test_stones_of_an_earlier_schema_tell_their_bodies_as_far_as_their_rec
             old.executescript(script)
         old.execute("ATTACH ? AS today", (str(state_dir / "today.sqlite"),))
         columns = ", ".join(row[1] for row in old.execute("PRAGMA main.table_info(store)"))  # of that schema
+        old.execute(f"INSERT INTO store ({columns}) SELECT {columns} FROM today.store")  # noqa: S608 - as above
         old.executescript(
-            f"""INSERT INTO store ({columns}) SELECT {columns} FROM today.store;
-            INSERT INTO sessions SELECT * FROM today.sessions;
+            """INSERT INTO sessions SELECT * FROM today.sessions;
             INSERT INTO products SELECT * FROM today.products;
             INSERT INTO lots SELECT * FROM today.lots;
             INSERT INTO triggers
