@@ -32,7 +32,7 @@ from drivers.files.times import utc_now
 from pipeline.calibration import BallDrop, CalibrationError, CalibrationReport, ScaleSource
 from pipeline.calibration.coverage import Coverage, coverage
 from pipeline.calibration.paper import observe_centroids
-from pipeline.calibration.report import FoundLenses, UnseenLenses
+from pipeline.calibration.report import UnseenLenses
 from pipeline.calibration.self_calibration import StoneCalibration
 from pipeline.frames import BundleKind, FrameBundle
 from pipeline.segmentation import BackgroundModel
@@ -142,7 +142,8 @@ def command(options: CalibrateOptions) -> None:
     elif isinstance(solved.evidence, StoneCalibration):
         _print_stone_report(solved.evidence, unreadable)
     else:
-        _print_ball_report(solved.evidence, covered, unreadable)
+        report = solved.evidence
+        _print(_table(report, covered), _lines(report, covered, unreadable))
     if solved.refusal is not None and not options.force:
         raise UsageError(f"{options.out} was not written: {solved.refusal} (--force writes it all the same)")
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -210,11 +211,6 @@ def _observed(
     return [each for each in found if not isinstance(each, RecordingError)]
 
 
-def _print_ball_report(report: CalibrationReport, covered: Coverage, unreadable: Sequence[str]) -> None:
-    """Print a calibration from balls, and the coverage of its drops."""
-    _print(_table(report, covered), _lines(report, covered, unreadable))
-
-
 def _print_stone_report(found: StoneCalibration, unreadable: Sequence[str]) -> None:
     """Print which cameras were given new poses from stones."""
     table = Table("camera", "before px", "after px", "turned °", "shifted mm")
@@ -279,8 +275,14 @@ def _lines(report: CalibrationReport, covered: Coverage, unreadable: Sequence[st
     yield "scale: from the diameter of the ball" if report.scale is ScaleSource.BALL_DIAMETER else NO_SCALE
     if report.uncertainty is not None:
         yield f"length in the measuring volume: +- {report.uncertainty.length_sd_percent:.3f} % (1 sd)"
-    if report.lenses is not None:
-        yield _lens_line(report.lenses)
+    if isinstance(report.lenses, UnseenLenses):
+        yield f"lenses: {UNSEEN_LENSES[report.lenses]}"
+    elif report.lenses is not None:
+        f_number, sigma_px = report.lenses.f_number, report.lenses.blur_px.value
+        yield (
+            f"lenses of {report.lenses.focal_length_mm:g} mm: F{f_number.value:.2f} +- {f_number.sd:.2f} (1 sd), "
+            f"edges in focus {sigma_px:.2f} px wide (sigma)"
+        )
     if report.edge_offset_px is not None:
         side = "large" if report.edge_offset_px > 0 else "small"
         yield f"outlines are {abs(report.edge_offset_px):.3f} px too {side}, as balls of two sizes show"
@@ -290,16 +292,6 @@ def _lines(report: CalibrationReport, covered: Coverage, unreadable: Sequence[st
     for problem in report.problems:
         yield f"{'refused' if problem.is_fatal else 'warning'}: {problem.detail}"
     yield f"calibration: {report.rig.calibration_id}"
-
-
-def _lens_line(lenses: FoundLenses | UnseenLenses) -> str:
-    if isinstance(lenses, UnseenLenses):
-        return f"lenses: {UNSEEN_LENSES[lenses]}"
-    f_number, sigma_px = lenses.f_number, lenses.blur_px.value
-    return (
-        f"lenses of {lenses.focal_length_mm:g} mm: F{f_number.value:.2f} +- {f_number.sd:.2f} (1 sd), "
-        f"edges in focus {sigma_px:.2f} px wide (sigma)"
-    )
 
 
 def _fixed(value: float | None, digits: int) -> str:

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.cameras.description import genicam_xml
-from drivers.gvcp import DiscoveredCamera, discover, local_addresses
+from drivers.gvcp import discover, local_addresses
 
 
 def ipv4_address(text: str) -> str:
@@ -51,17 +51,15 @@ def command(
     if as_json:
         typer.echo(json.dumps([asdict(device) for device in found], indent=2))
     elif found:
-        Console().print(_table(found))
+        table = Table()
+        for title in ("address", "serial", "user name", "model", "MAC"):
+            table.add_column(title, overflow="fold")
+        for each in found:
+            model = f"{each.vendor} {each.model} {each.version}"
+            cells = (each.address, each.serial, each.user_name, model, each.mac)
+            table.add_row(
+                *map(Text, cells)
+            )  # as text: rich would print the :cd: of a MAC as a picture of a disc
+        Console().print(table)
     else:
         typer.echo(f"No camera answers on the networks of {', '.join(interface or local_addresses())}.")
-
-
-def _table(devices: list[DiscoveredCamera]) -> Table:
-    table = Table()
-    for title in ("address", "serial", "user name", "model", "MAC"):
-        table.add_column(title, overflow="fold")
-    for device in devices:
-        model = f"{device.vendor} {device.model} {device.version}"
-        cells = (device.address, device.serial, device.user_name, model, device.mac)
-        table.add_row(*map(Text, cells))  # as text: rich would print the :cd: of a MAC as a picture of a disc
-    return table

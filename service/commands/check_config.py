@@ -33,13 +33,8 @@ def command(
     wrong = [*problems(settings), *shortcomings(settings)]
     doubtful = list(rig_warnings(settings.rig))
     if as_json:
-        said = {
-            "url": settings.api.local_url,
-            "settings": document,
-            "problems": wrong,
-            "warnings": doubtful,
-        }
-        typer.echo(json.dumps(said, indent=2))
+        said = {"settings": document, "problems": wrong, "warnings": doubtful}
+        typer.echo(json.dumps({"url": settings.api.local_url, **said}, indent=2))
     else:
         typer.echo("\n".join(_sections(document)))
         for problem in [*wrong, *(f"warning: {each}" for each in doubtful)]:

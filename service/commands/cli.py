@@ -21,7 +21,7 @@ COMMANDS = {
     "check-host": "service.commands.doctor",
     "doctor": "service.commands.doctor",
     "diagnostics": "service.commands.doctor",
-    "compile": "service.commands.compile",
+    "compile": "service.commands.serve",
     "synthesize": "service.commands.synthesize",
     "import": "service.commands.images",
     "export": "service.commands.images",

@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,6 +33,7 @@ NAMED = 10
 """Stones whose outcome or quality is another one that are named for people; `--json` names all."""
 
 Stones = dict[str, dict[str, Any]]
+Limit = partial(typer.Option, min=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,20 +43,16 @@ class CompareOptions:
     old: Annotated[str, typer.Argument(help="Folder of results; with --lot a version such as 13, or r1.")]
     new: Annotated[str, typer.Argument(help="The same, of the new release; r2 is the second revision.")]
     lot: Annotated[str | None, typer.Option(help="Compare stones of this lot of a running daemon.")] = None
-    max_volume_percent: Annotated[
-        float | None, typer.Option(min=0.0, help="Largest change of a stone's volume.")
-    ] = None
-    max_sieve_mm: Annotated[
-        float | None, typer.Option(min=0.0, help="Largest change of a stone's sieve size.")
-    ] = None
+    max_volume_percent: Annotated[float | None, Limit(help="Largest change of a stone's volume.")] = None
+    max_sieve_mm: Annotated[float | None, Limit(help="Largest change of a stone's sieve size.")] = None
     max_axes_mm: Annotated[
-        float | None, typer.Option(min=0.0, help="Largest change of a stone's axes and Feret diameters.")
+        float | None, Limit(help="Largest change of a stone's axes and Feret diameters.")
     ] = None
-    max_shape: Annotated[
-        float | None, typer.Option(min=0.0, help="Largest change of a stone's shape factors, 0 to 1.")
-    ] = None
+    max_shape: Annotated[float | None, Limit(help="Largest change of a stone's shape factors, 0 to 1.")] = (
+        None
+    )
     max_passing_percent: Annotated[
-        float | None, typer.Option(min=0.0, help="Largest change of the lot's passing at a sieve, in points.")
+        float | None, Limit(help="Largest change of the lot's passing at a sieve, in points.")
     ] = None
     same_words: Annotated[
         bool, typer.Option("--same-words", help="Outcome, reason and quality of each stone must be equal.")
@@ -190,7 +188,14 @@ def _print(changes: StoneChanges, figures: Sequence[ComparedFigure], beyond: Seq
         )
     console.print(table)
     if changes.n_changed:
-        console.print(_lot_table(figures))
+        as_lots = Table(title="as lots")
+        for name in ("figure", "before", "after", "difference"):
+            as_lots.add_column(name, justify="left" if name == "figure" else "right")
+        for figure in figures:
+            if figure.difference is not None:
+                values = (f"{figure.a.value:.3f}", f"{figure.b.value:.3f}", f"{figure.difference:+.4f}")
+                as_lots.add_row(figure.figure, *values)
+        console.print(as_lots)
     for word in changes.words[:NAMED]:
         typer.echo(f"{word.id}: {word.field} {word.before} -> {word.after}")
     if len(changes.words) > NAMED:
@@ -213,15 +218,3 @@ def _versions_line(before: Records, after: Records) -> str:
     if old == new:
         return f"both of algorithm {old}: images, parameters, calibration or background differ"
     return f"algorithm {old} -> {new}; what each version changed: {CHANGES}"
-
-
-def _lot_table(figures: Sequence[ComparedFigure]) -> Table:
-    table = Table(title="as lots")
-    for name in ("figure", "before", "after", "difference"):
-        table.add_column(name, justify="left" if name == "figure" else "right")
-    for each in figures:
-        if each.difference is not None:
-            table.add_row(
-                each.figure, f"{each.a.value:.3f}", f"{each.b.value:.3f}", f"{each.difference:+.4f}"
-            )
-    return table

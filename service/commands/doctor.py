@@ -20,6 +20,7 @@ from service.base.language import Language
 from service.base.status import CheckStatus
 from service.commands.daemon_client import ConfiguredUrl, DaemonClient, DaemonError, Key
 from service.commands.doctor_rig import check_cameras, check_gate, check_pulse
+from service.commands.options import Config
 from service.configuration.host_needs import host_needs
 from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings
 from service.configuration.settings import Settings, load_settings, problems, shortcomings
@@ -36,7 +37,6 @@ ARCHIVE_S = 90.0
 """The archive may wait for other answers of the daemon."""
 STYLES = {HostVerdict.GOOD: "green", HostVerdict.FAULT: "bold red", HostVerdict.UNKNOWN: "yellow"}
 
-Config = Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")]
 Root = Annotated[
     Path,
     typer.Option(

@@ -4,7 +4,7 @@ import csv
 import io
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -14,6 +14,7 @@ from service.base.errors import VolumeModelError
 from service.configuration.volume_models import write_volume_model
 from service.results.fields import Outcome
 
+FIELDS = ("volume_raw_mm3", "volume_estimate_mm3")
 MAX_VOLUME_MM3 = 1e6
 """Volume of a cube of 100 mm, which is larger than the field of view."""
 
@@ -77,18 +78,13 @@ def _measured(path: Path) -> dict[str, tuple[float, float]]:
         except (ValueError, LookupError, TypeError, RecursionError) as err:
             raise VolumeModelError(f"{where}: is not a result of stonefall measure") from err
         if is_measured:
-            volumes_mm3[bundle] = (
-                _volume_mm3(record, "volume_raw_mm3", where),
-                _volume_mm3(record, "volume_estimate_mm3", where),
-            )
+            for field in FIELDS:
+                found = record.get(field)
+                if not (isinstance(found, int | float) and 0 < found < MAX_VOLUME_MM3):
+                    raise VolumeModelError(f"{where}: has no {field}; measure the recording again")
+            hull_mm3, estimate_mm3 = (float(record[field]) for field in FIELDS)
+            volumes_mm3[bundle] = hull_mm3, estimate_mm3
     return volumes_mm3
-
-
-def _volume_mm3(record: dict[str, Any], field: str, where: str) -> float:
-    volume_mm3 = record.get(field)
-    if isinstance(volume_mm3, int | float) and 0 < volume_mm3 < MAX_VOLUME_MM3:
-        return float(volume_mm3)
-    raise VolumeModelError(f"{where}: has no {field}; measure the recording again")
 
 
 def _masses_g(path: Path) -> dict[str, float]:

@@ -102,11 +102,20 @@ def command(options: InitOptions) -> None:
     gate = options.gate or _found_gate(is_asked=is_asked)
     strobe_line, flash_us = options.strobe_line, options.flash_us
     if is_asked and strobe_line is None and flash_us is None:
-        strobe_line, flash_us = _asked_light()
+        strobe_line = _asked(
+            "output of the cameras that fires the light panels, such as Line2 (- if they are always on)"
+        )
+        if strobe_line is not None:
+            flash_us = _asked_number("light of one flash, us (0 if as long as the exposure)")
     density_g_cm3 = options.density_g_cm3
     if is_asked and density_g_cm3 is None:
         density_g_cm3 = _asked_number("particle density of the product, g/cm3 (0 if it is not known)")
-    text = configuration_text(
+    environment = jinja2.Environment(  # noqa: S701 - TOML, not HTML
+        trim_blocks=True, keep_trailing_newline=True, undefined=jinja2.StrictUndefined
+    )
+    # what is None is not known: a comment with an example, or MISSING
+    text = environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
+        line=_line,
         interfaces=interfaces,
         cameras=named,
         places=rig.camera_ids,
@@ -214,24 +223,8 @@ def _found_gate(*, is_asked: bool) -> str | None:
     return _asked("port of the light gate (- if there is none yet)", ports[0] if ports else None)
 
 
-def _asked_light() -> tuple[str | None, float | None]:
-    line = _asked(
-        "output of the cameras that fires the light panels, such as Line2 (- if they are always on)"
-    )
-    question = "light of one flash, us (0 if as long as the exposure)"
-    return line, None if line is None else _asked_number(question)
-
-
 def _asked_number(question: str) -> float | None:
     return typer.prompt(question, type=float, default=0.0) or None
-
-
-def configuration_text(**site: Any) -> str:
-    """Return the file with the facts of a site, of which None is not known: a comment with an example, or MISSING."""
-    environment = jinja2.Environment(  # noqa: S701 - TOML, not HTML
-        trim_blocks=True, keep_trailing_newline=True, undefined=jinja2.StrictUndefined
-    )
-    return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(site, line=_line)
 
 
 def _line(name: str, value: Any, example: Any = None) -> str:

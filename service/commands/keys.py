@@ -5,7 +5,6 @@ import json
 import os
 import re
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -15,6 +14,7 @@ from rich.table import Table
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
 from service.base.errors import UsageError
+from service.commands.options import DaemonConfig
 from service.configuration.settings import Settings, load_settings
 from service.store.keys import AccessKey, create_key, revoke_key, stored_keys
 from service.web.settings import Scope
@@ -23,7 +23,6 @@ command = typer.Typer(
     no_args_is_help=True, help="Keys of the REST interface; changes apply to a running daemon at once."
 )
 
-Config = Annotated[Path, typer.Option("--config", help="TOML file of the daemon.")]
 Name = Annotated[
     str, typer.Argument(metavar="NAME", help="Name of the key: the person or program that uses it.")
 ]
@@ -33,7 +32,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 @command.command()
 def create(
     name: Name,
-    config: Config,
+    config: DaemonConfig,
     scopes: Annotated[
         list[Scope] | None, typer.Option("--scope", help="Scope of the key; may be repeated; default: read.")
     ] = None,
@@ -59,10 +58,20 @@ def create(
 
 
 @command.command("list")
-def list_(config: Config, as_json: AsJson = False) -> None:
+def list_(config: DaemonConfig, as_json: AsJson = False) -> None:
     """List all keys, those of the configuration as well."""
     settings = load_settings(config)
-    keys = _described(settings)
+    now, shown = utc_now(), ("created_at", "created_by", "expires_at", "revoked_at", "revoked_by")
+    configured = [AccessKey(key.sha256, key.name, key.scopes) for key in settings.api.keys]
+    keys: list[dict[str, Any]] = [  # without their hashes
+        {
+            "name": key.name,
+            "scopes": key.scopes,
+            "state": "revoked" if key.revoked_at else "expired" if key.refusal(now) else "valid",
+            **{each: getattr(key, each) for each in shown},
+        }
+        for key in (*configured, *stored_keys(settings.store.dir))
+    ]
     if as_json:
         typer.echo(json.dumps({"items": keys}))
         return
@@ -76,27 +85,12 @@ def list_(config: Config, as_json: AsJson = False) -> None:
 
 
 @command.command()
-def revoke(name: Name, config: Config) -> None:
+def revoke(name: Name, config: DaemonConfig) -> None:
     """Revoke a key: requests with it are refused from now on."""
     settings = load_settings(config)
     _require_not_configured(settings, name)
     revoke_key(settings.store.dir, name, _user())
     typer.echo(f"key {name} is revoked")
-
-
-def _described(settings: Settings) -> list[dict[str, Any]]:
-    """Describe all keys, without their hashes."""
-    now, shown = utc_now(), ("created_at", "created_by", "expires_at", "revoked_at", "revoked_by")
-    configured = [AccessKey(key.sha256, key.name, key.scopes) for key in settings.api.keys]
-    return [
-        {
-            "name": key.name,
-            "scopes": key.scopes,
-            "state": "revoked" if key.revoked_at else "expired" if key.refusal(now) else "valid",
-            **{each: getattr(key, each) for each in shown},
-        }
-        for key in (*configured, *stored_keys(settings.store.dir))
-    ]
 
 
 def _require_not_configured(settings: Settings, name: str) -> None:

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -33,7 +33,7 @@ from service.base.errors import UsageError
 from service.base.language import Language
 from service.commands.lots import curve_table
 from service.commands.measuring_pool import Executor, measuring_pool
-from service.commands.options import with_options
+from service.commands.options import changed, with_options
 from service.commands.results_folder import FOLDERS, RESULTS, measure_all
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.settings import load_settings
@@ -50,9 +50,6 @@ GRADATION, CURVE = "gradation.json", "gradation.svg"
 SIEVE_SET = "stonefall"
 PAPERS_MODEL = "u2netp"
 """Network of `--method paper` unless another one is named; the paper used the larger U2-Net."""
-
-
-Parameters = TypeVar("Parameters", bound=Any)
 
 
 class MethodName(StrEnum):
@@ -154,9 +151,9 @@ def command(options: MeasureOptions) -> None:
     try:
         parameters = replace(
             parameters,
-            meshing=_changed(parameters.meshing, mesher=options.mesher),
-            body=_changed(parameters.body, kind=options.body, texture=options.texture),
-            carving=_changed(parameters.carving, field=options.field, isolevel=options.isolevel),
+            meshing=changed(parameters.meshing, mesher=options.mesher),
+            body=changed(parameters.body, kind=options.body, texture=options.texture),
+            carving=changed(parameters.carving, field=options.field, isolevel=options.isolevel),
         )
     except ValueError as err:
         raise typer.BadParameter(str(err), param_hint="--isolevel") from err
@@ -217,17 +214,11 @@ def _replace_results(unfinished: Path, out: Path) -> None:
             (unfinished / name).rename(out / name)
 
 
-def _changed(parameters: Parameters, **options: Any) -> Parameters:
-    """Return the parameters with those options that the command line has."""
-    given = {name: value for name, value in options.items() if value is not None}
-    return replace(parameters, **given)
-
-
 def _segmenter_plan(
     configured: SegmentationSettings, segmenter: SegmenterKind | None, model: str | None
 ) -> SegmenterPlan:
     """Return the configured segmenter, changed by the command line; what the command line names must be usable."""
-    wanted = _changed(configured, segmenter=segmenter, model=model)
+    wanted = changed(configured, segmenter=segmenter, model=model)
     plan = plan_segmenter(wanted)
     if plan.trouble is not None and (wanted.segmenter == "mask" or segmenter == "onnx" or model is not None):
         raise UsageError(plan.trouble)

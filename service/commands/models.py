@@ -14,7 +14,6 @@ from service.commands.cli import imported
 from service.processing.models.networks import (
     PUBLISHED,
     Device,
-    ModelEntry,
     default_models_dir,
     fetch_model,
     list_models,
@@ -57,8 +56,16 @@ def list_all(
     entries = list(list_models(models_dir))
     if as_json:
         typer.echo(json.dumps([asdict(entry) for entry in entries], indent=2))
-    else:
-        Console().print(_table(entries))
+        return
+    table = Table()
+    for title in ("name", "kind", "parameters", "bytes", "sha256", "metrics or problem"):
+        table.add_column(title, overflow="fold")
+    for entry in entries:
+        numbers = (entry.n_parameters, entry.size_bytes)
+        cells = ("" if number is None else f"{number:,}" for number in numbers)
+        remark = entry.problem or _summary(entry.metrics)
+        table.add_row(entry.name, entry.kind or "", *cells, (entry.sha256 or "")[:12], remark)
+    Console().print(table)
 
 
 @command.command("train")
@@ -90,18 +97,6 @@ def train(
         plan, out, lambda line: typer.echo(line, err=True), n_jobs=jobs, device=device
     )
     typer.echo(json.dumps(description, indent=2))
-
-
-def _table(entries: list[ModelEntry]) -> Table:
-    table = Table()
-    for title in ("name", "kind", "parameters", "bytes", "sha256", "metrics or problem"):
-        table.add_column(title, overflow="fold")
-    for entry in entries:
-        numbers = (entry.n_parameters, entry.size_bytes)
-        cells = ("" if number is None else f"{number:,}" for number in numbers)
-        remark = entry.problem or _summary(entry.metrics)
-        table.add_row(entry.name, entry.kind or "", *cells, (entry.sha256 or "")[:12], remark)
-    return table
 
 
 def _summary(metrics: Any) -> str:

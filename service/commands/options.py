@@ -1,10 +1,22 @@
-"""Commands whose options are the fields of dataclasses."""
+"""Options that commands share, and commands whose options are the fields of dataclasses."""
 
 from collections.abc import Callable
-from dataclasses import is_dataclass
+from dataclasses import is_dataclass, replace
 from functools import wraps
 from inspect import Parameter, Signature, signature
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import typer
+
+Config = Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")]
+DaemonConfig = Annotated[Path, typer.Option("--config", help="TOML file of the daemon.")]
+Parameters = TypeVar("Parameters", bound=Any)
+
+
+def changed(parameters: Parameters, **options: Any) -> Parameters:
+    """Return the parameters with those options that the command line has."""
+    return replace(parameters, **{name: value for name, value in options.items() if value is not None})
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:

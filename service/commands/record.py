@@ -20,6 +20,7 @@ from drivers.files.rig_file import read_rig
 from service.acquisition.acquisition import INBOX_TRIGGERS, Acquisition, AcquisitionParameters
 from service.base.errors import ServiceError, SettingsError
 from service.base.status import AcquisitionState, AcquisitionTarget
+from service.commands.options import Config
 from service.configuration.settings import Settings, load_settings, problems
 from service.recording.live_recording import EndedBy, LiveRecording
 from service.recording.recordings import require_room
@@ -31,7 +32,7 @@ POLL_S = 0.1
 
 def command(
     out: Annotated[Path, typer.Argument(help="Folder of the new recording.")],
-    config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
+    config: Config,
     count: Annotated[
         int | None, typer.Option(min=1, help="Number of stones to record; default: until Ctrl-C.")
     ] = None,

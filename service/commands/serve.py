@@ -1,4 +1,4 @@
-"""`stonefall serve`: run the daemon."""
+"""`stonefall serve` and `compile`: run the daemon; compile the loops that its first start would compile."""
 
 import asyncio
 import logging
@@ -6,13 +6,11 @@ import os
 import resource
 import sys
 import threading
-from pathlib import Path
-from typing import Annotated, NoReturn
-
-import typer
+from typing import NoReturn
 
 from service.acquisition.device_keeper import CONTROL_THREAD_SUFFIX
 from service.base.errors import SettingsError
+from service.commands.options import Config
 from service.daemon.systemd import configure_logging, service_manager
 from service.host.machine import FILES
 from service.processing.worker_process import import_for_workers
@@ -23,9 +21,7 @@ LEAST_FILES = 512
 """Open files and connections of sixteen cameras, the workers, and a few clients."""
 
 
-def command(
-    config: Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")],
-) -> None:
+def command(config: Config) -> None:
     """Run the daemon: measure the stones of a rig, store the results and serve them, until SIGTERM."""
     open_standard_files()
     allow_files()
@@ -44,6 +40,31 @@ def command(
         log.critical("fatal, the daemon ends", exc_info=True)
         _exit(1)
     _exit(0)
+
+
+def compile_command(config: Config) -> None:
+    """Compile all loops ahead of the first start, into the cache that the daemon uses (NUMBA_CACHE_DIR).
+
+    Run it after every installation, as the user that the daemon runs as.
+    """
+    from service.configuration.segmentation_settings import plan_segmenter  # here: as above
+    from service.configuration.settings import load_settings
+    from service.processing.measure_job import WorkerContext, prepare
+    from service.processing.worker_pool import WorkerPool
+
+    settings = load_settings(config)
+    context = WorkerContext(
+        parameters=settings.pipeline,
+        is_simulated=False,
+        segmentation=plan_segmenter(settings.segmentation),
+    )
+    slots, deadline_s = settings.workers.slots, settings.workers.deadline_s
+
+    async def warm_up() -> None:
+        async with WorkerPool(slots=slots, deadline_s=deadline_s, prepare=prepare, context=context):
+            pass
+
+    asyncio.run(warm_up())
 
 
 def open_standard_files() -> None:

@@ -1,7 +1,6 @@
 """`stonefall shape`: measure mesh files with the functions of the pipeline."""
 
 import json
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Annotated, Any
@@ -49,7 +48,13 @@ def command(
     else:
         console = Console()
         for i in range(0, len(measured), MESHES_PER_TABLE):
-            console.print(_table(measured[i : i + MESHES_PER_TABLE]))
+            shown, table = measured[i : i + MESHES_PER_TABLE], Table()
+            table.add_column(no_wrap=True)
+            for shape in shown:
+                table.add_column(Path(shape["file"]).name, justify="right", overflow="fold")
+            for name in ROWS:
+                table.add_row(name, *(_text(shape[name]) for shape in shown))
+            console.print(table)
     if len(measured) < len(meshes):
         raise typer.Exit(1)
 
@@ -70,20 +75,9 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     return mesh
 
 
-def _table(measured: Sequence[Mapping[str, Any]]) -> Table:
-    table = Table()
-    table.add_column(no_wrap=True)
-    for shape in measured:
-        table.add_column(Path(shape["file"]).name, justify="right", overflow="fold")
-    for name in ROWS:
-        table.add_row(name, *(_text(shape[name]) for shape in measured))
-    return table
-
-
 def _text(value: Any) -> str:
-    match value:
-        case str():
-            return value
-        case tuple():
-            return " × ".join(f"{edge:.3f}" for edge in value)
+    if isinstance(value, str):
+        return value
+    if isinstance(value, tuple):
+        return " × ".join(f"{edge:.3f}" for edge in value)
     return f"{value:.4g}" if value < 1 else f"{value:.3f}"

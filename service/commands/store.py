@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from service.base.errors import StoreError
+from service.commands.options import DaemonConfig
 from service.configuration.settings import load_settings
 from service.store import read
 from service.store.audit import check_chain, kept_digests
@@ -18,7 +19,7 @@ audit_command = typer.Typer(
 
 
 def backup_command(
-    config: Annotated[Path, typer.Option("--config", help="TOML file of the daemon.")],
+    config: DaemonConfig,
     out: Annotated[
         Path | None,
         typer.Argument(help="File to write; a file of its own in store.dir/backups if not given."),

@@ -1,7 +1,7 @@
 """`stonefall synthesize`: render a recording of known bodies, with their true shapes beside it."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -13,11 +13,21 @@ from rich.progress import track
 
 from drivers.files.recording import RecordingSource, RecordingWriter
 from drivers.files.rig_file import read_rig, write_rig
+from pipeline.errors import MeshError
 from pipeline.fall import GRAVITY_MM_S2, Fall
 from pipeline.frames import BundleKind, rfc3339
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.rig.design import as_built, nominal_rig
-from pipeline.synthesis.bodies import Body, SurfaceKind, ball, cube, cylinder, sphere
+from pipeline.synthesis.bodies import (
+    Body,
+    Looks,
+    SurfaceKind,
+    ball,
+    body_from_mesh,
+    cube,
+    cylinder,
+    sphere,
+)
 from pipeline.synthesis.bundles import (
     FIRST_UTC,
     TRIGGER_DELAY_NS,
@@ -31,14 +41,9 @@ from pipeline.synthesis.placement import SPREAD_MM, drop_across, tumble
 from pipeline.synthesis.renderer import simulate_rig
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
 from pipeline.synthesis.truth import truth_of, truth_to_document
-from service.commands.bodies import (
-    GlossOption,
-    InterreflectionOption,
-    SurfacesOption,
-    body_from_file,
-    looks_of,
-)
-from service.commands.options import with_options
+from service.base.errors import UsageError
+from service.commands.options import changed, with_options
+from service.commands.shape import read_mesh
 
 STANDARDS: dict[str, Callable[[], Body]] = {
     "ball": ball,
@@ -54,6 +59,20 @@ MAX_FALL_JITTER_MS = 6.0
 
 HOUSING, BACKGROUND, PARTICLE = range(3)
 """Keys of the random streams: the content of a bundle does not depend on the number of bundles."""
+
+SurfacesOption = Annotated[
+    str,
+    typer.Option(
+        "--surface",
+        help=f"Surfaces of the bodies in turn, separated by commas: {', '.join(SurfaceKind)}. Balls keep theirs.",
+    ),
+]
+GlossOption = Annotated[
+    float, typer.Option("--gloss", min=0, max=1, help="How wet bodies are: 0 matte, 1 wet.")
+]
+InterreflectionOption = Annotated[
+    bool, typer.Option("--interreflection", help="Faces of a body light and mirror each other.")
+]
 
 BodySource = Callable[[int, np.random.Generator], tuple[Body, ShapeMeasurement]]
 """Returns the body, and its true shape, that an item of `--bodies` stands for in the n-th round (from 0)."""
@@ -137,10 +156,7 @@ def command(options: SynthesizeOptions) -> None:
         )
     looks = looks_of(options.surfaces, options.gloss, options.interreflection)
     exposure = replace(LENS_PRESETS[options.lens], exposure_us=options.exposure_us)
-    if options.blur_px is not None:
-        exposure = replace(exposure, blur_px=options.blur_px)
-    if options.read_noise is not None:
-        exposure = replace(exposure, read_noise=options.read_noise)
+    exposure = changed(exposure, blur_px=options.blur_px, read_noise=options.read_noise)
     design = nominal_rig(created_at=rfc3339(FIRST_UTC, "auto"))
     true_rig = as_built(design, options.seed) if options.rig is None else read_rig(options.rig)
     names = [name.strip() for name in options.bodies.split(",")]
@@ -237,22 +253,47 @@ def _body_source(name: str, size_mm: float | None) -> BodySource:
     if name in STANDARDS:
         body = STANDARDS[name]()
     elif kind == "ball":
-        body = ball(_ball_diameter_mm(diameter, name))
+        low_mm, high_mm = BALL_DIAMETERS_MM
+        try:
+            diameter_mm = float(diameter)
+        except ValueError:
+            diameter_mm = 0.0
+        if not low_mm <= diameter_mm <= high_mm:
+            raise typer.BadParameter(
+                f"{name!r}: a ball's diameter is {low_mm:g} to {high_mm:g} mm, as in ball:15",
+                param_hint="--bodies",
+            )
+        body = ball(diameter_mm)
     else:
         body = body_from_file(name, [*STANDARDS, STONES, *STONE_FORMS], MAX_RADIUS_MM)
     shape = measure_shape(body.mesh.vertices, body.mesh.faces)
     return lambda round_number, rng: (body, shape)
 
 
-def _ball_diameter_mm(diameter: str, name: str) -> float:
-    low_mm, high_mm = BALL_DIAMETERS_MM
-    try:
-        diameter_mm = float(diameter)
-    except ValueError:
-        diameter_mm = 0.0
-    if not low_mm <= diameter_mm <= high_mm:
+def looks_of(surfaces: str, gloss: float, interreflection: bool) -> Looks:
+    """Parse the options about the look of bodies; raise `typer.BadParameter` for an unknown surface."""
+    names = [name.strip() for name in surfaces.split(",")]
+    if unknown := [name for name in names if name not in set(SurfaceKind)]:
         raise typer.BadParameter(
-            f"{name!r}: a ball's diameter is {low_mm:g} to {high_mm:g} mm, as in ball:15",
-            param_hint="--bodies",
+            f"{unknown[0]!r} is none of {', '.join(SurfaceKind)}", param_hint="--surface"
         )
-    return diameter_mm
+    return Looks(surfaces=tuple(map(SurfaceKind, names)), gloss=gloss, is_interreflecting=interreflection)
+
+
+def body_from_file(name: str, known: Iterable[str], max_radius_mm: float, limit: str = "") -> Body:
+    """Read a body from a mesh file; `known` are the other bodies, and `limit` says why none is larger.
+
+    Raises `typer.BadParameter` if there is no such file, `UsageError` if it is no closed mesh, or too large.
+    """
+    path = Path(name)
+    if not path.is_file():
+        raise typer.BadParameter(
+            f"{name!r} is neither a mesh file nor one of {', '.join(known)}", param_hint="--bodies"
+        )
+    try:
+        body = body_from_mesh(path.stem, read_mesh(path))
+    except (UsageError, MeshError) as err:
+        raise UsageError(f"{path}: {err}") from err
+    if body.radius_mm > max_radius_mm:
+        raise UsageError(f"{path}: reaches {body.radius_mm:.0f} mm from its centre{limit}; is it in mm?")
+    return body

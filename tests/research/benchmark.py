@@ -32,14 +32,14 @@ from research.tables import (
     size_table,
 )
 from service.base.errors import UsageError
-from service.commands.bodies import (
+from service.commands.options import with_options
+from service.commands.synthesize import (
     GlossOption,
     InterreflectionOption,
     SurfacesOption,
     body_from_file,
     looks_of,
 )
-from service.commands.options import with_options
 from service.processing.models.networks import load_model
 
 IRREGULAR = "irregular-bodies"

@@ -3,7 +3,7 @@ from pathlib import Path
 import typer
 from typer.testing import CliRunner, Result
 
-from service.commands.compile import command
+from service.commands.serve import compile_command
 
 CONFIG = """
 [rig]
@@ -20,7 +20,7 @@ slots = 1
 def compiled(path: Path, text: str) -> Result:
     path.write_text(text)
     app = typer.Typer()
-    app.command()(command)
+    app.command()(compile_command)
     return CliRunner().invoke(app, ["--config", str(path)])
 
 
