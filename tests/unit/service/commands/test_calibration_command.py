@@ -69,6 +69,7 @@ class Pretender:
 @pytest.fixture
 def daemon(monkeypatch: pytest.MonkeyPatch) -> Iterator[Pretender]:
     monkeypatch.setattr(calibration, "FOLLOW_S", 0.0)
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")  # which is not asked for a daemon of this machine
     pretender = Pretender()
 
     class Handler(BaseHTTPRequestHandler):
