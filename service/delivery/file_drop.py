@@ -165,6 +165,5 @@ def due_lots(connection: sqlite3.Connection) -> dict[str, bool]:
 def note_dropped(connection: sqlite3.Connection, lot: str, revision: int) -> None:
     """Note that the files of a revision are written."""
     connection.execute(
-        "INSERT OR REPLACE INTO dropped_lots (lot, revision, at) VALUES (?, ?, ?)",
-        (lot, revision, utc_now()),
+        "INSERT OR REPLACE INTO dropped_lots (lot, revision, at) VALUES (?, ?, ?)", (lot, revision, utc_now())
     )

@@ -69,12 +69,7 @@ def trial_message(instance_id: str, at: str) -> Message:
 
 
 def _body(event: Mapping[str, Any], instance_id: str, details: Mapping[str, Any] | None) -> bytes:
-    data = {
-        "instance_id": instance_id,
-        "seq": event["seq"],
-        "subject": event["subject"],
-        "details": details,
-    }
+    data = {"instance_id": instance_id, "seq": event["seq"], "subject": event["subject"], "details": details}
     document = {"type": event["type"], "timestamp": event["at"], "data": data}
     return json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode("utf-8", "replace")
 

@@ -6,12 +6,14 @@ import random
 import ssl
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from http import HTTPStatus
 
 from pipeline.frames import rfc3339
 from service.base.errors import ProblemError, ProblemKind, StoreError
+from service.base.redaction import shown
+from service.base.schema import ANSWER, OptionalTime
 from service.base.status import Checks, trouble_check
 from service.delivery import table
 from service.delivery.posting import Message, message_of, post, signatures, trial_message
@@ -19,7 +21,7 @@ from service.delivery.progress import EndpointAnswer, EndpointProgress, next_pro
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 from service.delivery.table import Attempt
 from service.store import Store
-from service.store.events import events_after
+from service.store.events import EventType, events_after
 
 log = logging.getLogger(__name__)
 
@@ -37,12 +39,33 @@ class BeingTestedError(ProblemError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class EndpointStatus:
-    """An endpoint and its progress."""
+class WebhookDocument:
+    """An endpoint that events are posted to, and its progress; without its secrets."""
 
-    endpoint: WebhookEndpoint
-    progress: EndpointProgress
-    n_due: int  # events that it is to be told of yet
+    __pydantic_config__ = ANSWER
+
+    name: str
+    """As it is configured"""
+    url: str
+    """Scheme, host and first part of the path: the rest may be secret"""
+    events: tuple[EventType, ...]
+    """Types of the events that it gets"""
+    after: int
+    """`seq` of the last event that it has taken"""
+    waiting: int
+    """Events that wait to be posted to it"""
+    attempts: int
+    """Failed ones of the next event"""
+    failing_since: OptionalTime
+    """First of these, RFC 3339 UTC; null without any"""
+    next_attempt_at: OptionalTime
+    """When it is tried again; null: at once, or it is disabled"""
+    last_problem: str | None
+    """Of the latest attempt; null if it did not fail"""
+    last_taken_at: OptionalTime
+    """When it took a message last; null before the first"""
+    disabled_at: OptionalTime
+    """Not null: it gets nothing until it is enabled"""
 
 
 @dataclass(slots=True)
@@ -139,15 +162,21 @@ class Webhooks:
         """Return an endpoint, None if there is none of this name."""
         return self._endpoints.get(name)
 
-    async def status(self, name: str) -> EndpointStatus:
-        """Return the status of an endpoint."""
+    async def status(self, name: str) -> WebhookDocument:
+        """Return an endpoint and its progress."""
         endpoint = self._endpoints[name]
-        progress = await self._store.read(table.progress_of, name)
-        n_due = await self._store.read(table.n_due, progress.after, endpoint.events)
-        return EndpointStatus(endpoint=endpoint, progress=progress, n_due=n_due)
+        progress = asdict(await self._store.read(table.progress_of, name))
+        del progress["waited_s"]
+        return WebhookDocument(
+            name=name,
+            url=shown(endpoint.target._replace(query="").geturl()),
+            events=endpoint.events,
+            waiting=await self._store.read(table.n_due, progress["after"], endpoint.events),
+            **progress,
+        )
 
-    async def statuses(self) -> list[EndpointStatus]:
-        """Return the status of all endpoints."""
+    async def statuses(self) -> list[WebhookDocument]:
+        """Return all endpoints and their progress."""
         return [await self.status(name) for name in self._endpoints]
 
     async def enable(self, name: str, who: str) -> None:
@@ -158,22 +187,13 @@ class Webhooks:
     async def replay(self, name: str, after: int, who: str) -> None:
         """Post all events after a number to an endpoint again; to a disabled one when it is enabled.
 
-        Raises
-        ------
-        CursorError
-            They are not there yet, or no longer.
+        Raises `CursorError` if they are not there yet, or no longer.
         """
         await self._store.write(table.replay, name, after, who)
         self._wake(name)
 
     async def test(self, name: str, who: str) -> Attempt:
-        """Send a message without an event, once and whether the endpoint is disabled or not.
-
-        Raises
-        ------
-        BeingTestedError
-            One is being sent.
-        """
+        """Send a message without an event, once, disabled or not; raise `BeingTestedError` while one is being sent."""
         endpoint, told = self._endpoints[name], self._told[name]
         if told.is_testing:
             raise BeingTestedError(f"webhook {name} is being tested")

@@ -1,4 +1,7 @@
-"""The stones of a lot, or of a time, as the gradation takes them, from the records of results."""
+"""The stones of a lot, or of a time, as the gradation takes them, from the records of results.
+
+Of a stretch of time quickly: their times from an index, their measures of every so many alone.
+"""
 
 import json
 import sqlite3
@@ -11,12 +14,14 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.arrays import Values
 from pipeline.frames import BundleKind
 from pipeline.gradation.stones import DEVIATIONS, MEASURES, Fate, Lot, Stone, UnmeasuredStone, lot_of
 from service.base.errors import InvalidRequestError
 from service.base.schema import ANSWER, Time
 from service.results.fields import INDEXED_FIELDS
 from service.results.refinement import why_not_refined
+from service.store.writes import IS_REPLAY
 
 SURFACES = sqrt(2.0)
 """Standard deviation of a distance between two surfaces by that of one: their errors are taken for independent."""
@@ -27,6 +32,11 @@ MEASURED_COLUMNS = (*SIZES, "volume_sd_percent", "surface_sd_mm")
 COLUMNS = ("id", "n_stones", *INDEXED_FIELDS)
 SIZES_OF = itemgetter(*SIZES)
 BODY = itemgetter("body", "refinement_fallback")
+
+
+FELL = ("stones", "captured_at")
+RECORDED = ("stones JOIN results USING (seq)", "json_extract(record, '$.recorded_at')")
+"""Rows and their time: when a stone fell, or when its result came."""
 
 
 class UnknownChoiceError(InvalidRequestError):
@@ -58,6 +68,16 @@ class Stones:
     algorithm_versions: tuple[str, ...]
     is_simulated: bool  # one of them at least
     is_replay: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stretch:
+    """Stones that fell within a time."""
+
+    n_stones: int
+    n_timed: int  # of these, all but stones that were counted together: when each fell is not known
+    n_measured: int
+    lot: Lot  # in the order of time; of many stones every so many
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -241,3 +261,46 @@ def lot_of_columns(rows: Sequence[Sequence[float | None]]) -> Lot:
     }
     measures = dict(zip(MEASURED_COLUMNS, columns, strict=True)) | deviations
     return Lot(measures=np.array([measures[name] for name in MEASURES]))
+
+
+def stretch(connection: sqlite3.Connection, since: str, until: str, max_stones: int) -> Stretch:
+    """Return the stones from `since` to before `until`, with the measures of up to about `max_stones` of them.
+
+    Of a replay, whose stones fell long ago: what had its result then.
+    """
+    rows, time = _rows_and_time(connection)
+    within = f"FROM {rows} WHERE {time} >= ? AND {time} < ?"
+    n_stones, n_timed, n_measured = connection.execute(
+        "SELECT coalesce(sum(stones.n_stones), 0), coalesce(sum(stones.n_stones = 1), 0),"
+        f" coalesce(sum(stones.outcome = 'measured'), 0) {within}",
+        (since, until),
+    ).fetchone()
+    measures = connection.execute(
+        f"SELECT {', '.join(f'stones.{column}' for column in MEASURED_COLUMNS)} {within}"
+        f" AND stones.outcome = 'measured' AND stones.seq % ? = 0 ORDER BY {time}, stones.seq",
+        (since, until, -(-n_measured // max_stones) or 1),
+    ).fetchall()
+    return Stretch(n_stones=n_stones, n_timed=n_timed, n_measured=n_measured, lot=lot_of_columns(measures))
+
+
+def times_of(connection: sqlite3.Connection, since: str, until: str) -> Values:
+    """Return the times of all stones from `since` to before `until`, of any outcome, in seconds since 1970, rising.
+
+    To some tens of microseconds; of a replay when their results came. Stones that were counted together, at times that
+    are not known, are left out.
+    """
+    rows, time = _rows_and_time(connection)
+    found = connection.execute(
+        f"SELECT (julianday({time}) - 2440587.5) * 86400 FROM {rows}"  # noqa: S608 - constants
+        f" WHERE {time} >= ? AND {time} < ? AND stones.n_stones = 1 ORDER BY {time}",
+        (since, until),
+    )
+    return np.fromiter((second for (second,) in found), float)
+
+
+def _rows_and_time(connection: sqlite3.Connection) -> tuple[str, str]:
+    """Return the table and the column of time to select from; a store holds either what fell or a replay."""
+    newest = connection.execute(
+        f"SELECT {IS_REPLAY} FROM sessions ORDER BY session DESC LIMIT 1"  # noqa: S608 - as above
+    ).fetchone()
+    return RECORDED if newest is not None and newest[0] else FELL

@@ -6,12 +6,4 @@ from service.store.schema import read
 from service.store.store import KEEP_RAW, Store, open_store
 from service.store.trouble import StoreTrouble
 
-__all__ = [
-    "KEEP_RAW",
-    "ParticleFilter",
-    "Record",
-    "Store",
-    "StoreTrouble",
-    "open_store",
-    "read",
-]
+__all__ = ["KEEP_RAW", "ParticleFilter", "Record", "Store", "StoreTrouble", "open_store", "read"]

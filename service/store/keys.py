@@ -96,10 +96,7 @@ def create_key(
 ) -> tuple[AccessKey, str]:
     """Add a key to a store and return it with its token, which is nowhere else.
 
-    Raises
-    ------
-    StoreError
-        The name is no name, or that of a key that is accepted; or the store cannot be written, or is full of keys.
+    Raises `StoreError` for no name or that of an accepted key, or if the store cannot be written, or is full of keys.
     """
     if not NAME.fullmatch(name):
         raise StoreError(f"key {name!r}: a name has 1 to 64 letters, digits, '.', '-' and '_'")

@@ -49,10 +49,7 @@ def open_store(state_dir: Path, *, keep_raw: int = KEEP_RAW) -> "Store":
 
     The raw frames, `bundle.tiff`, of the newest `keep_raw` results are kept.
 
-    Raises
-    ------
-    StoreError
-        Another process has the store open, its schema is newer than this program, or the disk refuses to write.
+    Raises `StoreError` if another process has it open, its schema is newer than this program, or the disk refuses.
     """
     try:
         (state_dir / history.PARTICLES).mkdir(parents=True, exist_ok=True)

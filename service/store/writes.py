@@ -48,10 +48,7 @@ NOTE_EVERY = 100
 def begin_session(connection: sqlite3.Connection, info: Mapping[str, Any]) -> int:
     """Record the start of a run of the daemon and return its number.
 
-    Raises
-    ------
-    StoreError
-        It is a replay and the store holds stones that fell, or the other way round.
+    Raises `StoreError` if it is a replay and the store holds stones that fell, or the other way round.
     """
     session, is_replay = connection.execute(
         f"INSERT INTO sessions (started_at, info) VALUES (?, ?) RETURNING session, {IS_REPLAY}",  # noqa: S608 - a constant
@@ -192,11 +189,7 @@ def lose_open(
 
 
 def add_revision(
-    connection: sqlite3.Connection,
-    particles_dir: Path,
-    name: str,
-    record: Result,
-    files: Mapping[str, Path],
+    connection: sqlite3.Connection, particles_dir: Path, name: str, record: Result, files: Mapping[str, Path]
 ) -> int | None:
     """Add a revision of the stone with this id, and return its `seq`; None if it or its files were removed meanwhile.
 

@@ -1,47 +1,19 @@
 """Webhooks: endpoints that are told of events, what became of that, and what an operator can do about it."""
 
-from dataclasses import asdict
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.base.ids import ID
-from service.base.redaction import shown
-from service.base.schema import TIME
 from service.delivery.table import Attempt, deliveries
-from service.delivery.webhooks import EndpointStatus, Webhooks
-from service.store.events import EventType
+from service.delivery.webhooks import WebhookDocument, Webhooks
 from service.web.auth import CONFIGURABLE, Who
 from service.web.context import Context
 from service.web.feeds import MAX_SEQ
 from service.web.problems import existing, problem_responses
 
 router = APIRouter(prefix="/webhooks", tags=["webhooks"], dependencies=CONFIGURABLE)
-
-
-class WebhookDocument(BaseModel):
-    """An endpoint that events are posted to, and its progress; without its secrets."""
-
-    name: str = Field(description="As it is configured")
-    url: str = Field(description="Scheme, host and first part of the path: the rest may be secret")
-    events: list[EventType] = Field(description="Types of the events that it gets")
-    after: int = Field(description="`seq` of the last event that it has taken")
-    waiting: int = Field(description="Events that wait to be posted to it")
-    attempts: int = Field(description="Failed ones of the next event")
-    failing_since: str | None = Field(
-        json_schema_extra=TIME, description="First of these, RFC 3339 UTC; null without any"
-    )
-    next_attempt_at: str | None = Field(
-        json_schema_extra=TIME, description="When it is tried again; null: at once, or it is disabled"
-    )
-    last_problem: str | None = Field(description="Of the latest attempt; null if it did not fail")
-    last_taken_at: str | None = Field(
-        json_schema_extra=TIME, description="When it took a message last; null before the first"
-    )
-    disabled_at: str | None = Field(
-        json_schema_extra=TIME, description="Not null: it gets nothing until it is enabled"
-    )
 
 
 class WebhooksDocument(BaseModel):
@@ -67,8 +39,7 @@ class ReplayRequest(BaseModel):
 
 
 async def name_of(
-    context: Context,
-    webhook: Annotated[str, Path(pattern=ID, description="`name` of the endpoint")],
+    context: Context, webhook: Annotated[str, Path(pattern=ID, description="`name` of the endpoint")]
 ) -> str:
     """Return the name of an endpoint that is configured."""
     return existing(context.part(Webhooks).find(webhook), "webhook", webhook).name
@@ -77,10 +48,10 @@ async def name_of(
 Name = Annotated[str, Depends(name_of)]
 
 
-@router.get("", response_model=WebhooksDocument)
-async def webhooks(context: Context) -> dict[str, Any]:
+@router.get("")
+async def webhooks(context: Context) -> WebhooksDocument:
     """List the webhook endpoints, and how far they are."""
-    return {"items": [_document(status) for status in await context.part(Webhooks).statuses()]}
+    return WebhooksDocument(items=await context.part(Webhooks).statuses())
 
 
 @router.get("/{webhook}/deliveries")
@@ -93,23 +64,23 @@ async def webhook_deliveries(
     return DeliveriesDocument(items=await context.store.read(deliveries, name, limit))
 
 
-@router.post("/{webhook}/enable", response_model=WebhookDocument)
-async def enable_webhook(context: Context, name: Name, asking: Who) -> dict[str, Any]:
+@router.post("/{webhook}/enable")
+async def enable_webhook(context: Context, name: Name, asking: Who) -> WebhookDocument:
     """Enable a webhook: try its endpoint again at once, whether it was disabled or waits for its next attempt."""
     context.store.require_writable()
     await context.part(Webhooks).enable(name, asking)
-    return _document(await context.part(Webhooks).status(name))
+    return await context.part(Webhooks).status(name)
 
 
-@router.post("/{webhook}/replay", response_model=WebhookDocument, responses=problem_responses(410))
-async def replay_webhook(context: Context, name: Name, wanted: ReplayRequest, asking: Who) -> dict[str, Any]:
+@router.post("/{webhook}/replay", responses=problem_responses(410))
+async def replay_webhook(context: Context, name: Name, wanted: ReplayRequest, asking: Who) -> WebhookDocument:
     """Replay events to a webhook: all after a number, under the ids that they had; forward, it skips events.
 
     A disabled one gets them when it is enabled. 409 `cursor-ahead` and 410 `cursor-expired` as at `/events`.
     """
     context.store.require_writable()
     await context.part(Webhooks).replay(name, wanted.after, asking)
-    return _document(await context.part(Webhooks).status(name))
+    return await context.part(Webhooks).status(name)
 
 
 @router.post("/{webhook}/test")
@@ -120,13 +91,3 @@ async def test_webhook(context: Context, name: Name, asking: Who) -> Attempt:
     """
     context.store.require_writable()
     return await context.part(Webhooks).test(name, asking)
-
-
-def _document(status: EndpointStatus) -> dict[str, Any]:
-    endpoint = status.endpoint
-    return asdict(status.progress) | {
-        "name": endpoint.name,
-        "url": shown(endpoint.target._replace(query="").geturl()),
-        "events": endpoint.events,
-        "waiting": status.n_due,
-    }

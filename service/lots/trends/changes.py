@@ -16,8 +16,8 @@ from service.base.schema import TIME
 from service.base.status import Report
 from service.lots.comparing import ends_of
 from service.lots.figures import SHARES
+from service.lots.stones import stretch, times_of
 from service.lots.trends.diary import DiaryEntry, entries
-from service.lots.trends.stretches import stretch, times_of
 
 MAX_SIDE = timedelta(hours=12)
 """How far before and after an entry is looked."""

@@ -16,8 +16,8 @@ from service.base.schema import TIME
 from service.base.status import Report
 from service.lots.figures import SHARES
 from service.lots.lots import LotState
+from service.lots.stones import stretch
 from service.lots.trends.diary import DiaryEntry, entries
-from service.lots.trends.stretches import stretch
 
 BUCKETS_S = (60, 120, 300, 600, 900, 1800, 3600, 7200, 10_800, 21_600, 43_200, 86_400)
 """Lengths of a bucket, s: of each the next is a multiple or nearly so, and all part a day."""

@@ -8,9 +8,8 @@ from fastapi import Request as HttpRequest
 from service.base.ids import ID
 from service.base.language import Language
 from service.lots.lots import find_lot
-from service.lots.routes.lot_figures import Choosing, Measuring
+from service.lots.routes.lot_figures import Choosing, Measuring, Minutes, ProductId, last_minutes
 from service.lots.routes.lots import LotName
-from service.lots.routes.windows import Minutes, ProductId, last_minutes
 from service.reports.drawings import CurveRequest, lot_curve_svg, window_curve_svg
 from service.reports.words import words
 from service.web.auth import READABLE

@@ -11,8 +11,7 @@ from service.base.language import Language
 from service.lots.comparing import LotComparison, Side, compare_lots
 from service.lots.evaluation import as_json
 from service.lots.lots import find_lot
-from service.lots.routes.lot_figures import Measuring
-from service.lots.routes.windows import next_second
+from service.lots.routes.lot_figures import Measuring, next_second
 from service.lots.shifts import LotsSettings
 from service.lots.trends.changes import Changes
 from service.lots.trends.trend import Trend, trend

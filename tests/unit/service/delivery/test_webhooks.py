@@ -87,7 +87,7 @@ async def until_disabled(webhooks: Webhooks) -> None:
 
 async def until_told(webhooks: Webhooks, after: int, name: str = "mes") -> None:
     async def is_so() -> bool:
-        return (await webhooks.status(name)).progress.after >= after
+        return (await webhooks.status(name)).after >= after
 
     await soon(is_so)
 
@@ -131,7 +131,7 @@ async def test_what_is_not_taken_is_told_again_under_the_same_id_before_anything
         (2, 1, 204),
     ]
     assert "not HTTP" in (found[3].problem or "")
-    assert (await webhooks.status("mes")).progress.last_problem is None
+    assert (await webhooks.status("mes")).last_problem is None
 
 
 async def test_after_a_day_of_failures_it_is_disabled_until_somebody_enables_it(store: Store) -> None:
@@ -150,7 +150,7 @@ async def test_after_a_day_of_failures_it_is_disabled_until_somebody_enables_it(
             assert sum(clock.pauses_s) == 86_400
             await happen(store, EventType.LOT_OPENED)
             status = await webhooks.status("mes")
-            assert (status.n_due, status.progress.attempts, len(receiver.requests)) == (3, 8, 8)
+            assert (status.waiting, status.attempts, len(receiver.requests)) == (3, 8, 8)
         again = await webhooks_of(store, endpoint(receiver), clock=clock)
         async with telling(again):  # after a restart
             await until_disabled(again)
@@ -267,7 +267,7 @@ async def test_a_replay_tells_again_under_the_same_ids_and_leads_forward_too(sto
             await happen(store, *3 * [EventType.ALARM_RAISED])
             await receiver.received(7)
             await webhooks.replay("mes", 7, "somebody")  # while it is being told of 5
-            assert (await webhooks.status("mes")).n_due == 0
+            assert (await webhooks.status("mes")).waiting == 0
     assert receiver.events == [1, 2, 3, 4, 3, 4, 5]
     assert receiver.ids[2:4] == receiver.ids[4:6]
 

@@ -13,10 +13,9 @@ from pipeline.frames import rfc3339
 from pipeline.gradation.estimates import State
 from pipeline.gradation.sieves import OF_THE_RIG
 from service.base.language import Language
-from service.lots.stones import stones_between
+from service.lots.stones import stones_between, stretch, times_of
 from service.lots.trends.changes import ChangedFigure, EntryChanges, FigureChange, changes
 from service.lots.trends.diary import DiaryKind, DiaryRequest, FutureEntryError, entries, note_entry
-from service.lots.trends.stretches import stretch, times_of
 from service.lots.trends.trend import bucket_s_of, trend
 from service.reports.changes import sentence, with_sentences
 from service.reports.words import words
