@@ -71,14 +71,10 @@ class LiveRigSettings(ABC):
     is_simulated: bool = False  # results are marked as synthetic
 
     fall_height_mm: float = FALL_HEIGHT_MM  # from the beam of the gate to the centre of the rig
-    start_above_gate_mm: float = (
-        0.0  # height of the stone's lowest point above the beam when it starts from rest
-    )
+    start_above_gate_mm: float = 0.0  # of the stone's lowest point over the beam when it starts from rest
     delay_correction_ms: float = 0.0  # measured; negative for the latency of gate and cameras
     exposure_us: float = 20.0
-    flash_us: float | None = (
-        None  # light of one flash, if shorter than the exposure; only checked, set nowhere
-    )
+    flash_us: float | None = None  # of one flash, if shorter than the exposure; only checked, set nowhere
     trigger_skew_us: float = 1.0  # between cameras; of a wired trigger next to none
     max_blur_px: float = 1.5
 

@@ -20,9 +20,7 @@ class MeasuringSettings:
     """Density and volume model of the product."""
 
     density_g_cm3: float | None = None  # of the product (EN 1097-6); without it no mass is reported
-    volume_model: ConfiguredPath | None = (
-        None  # written by `stonefall fit-volume`; without it, the built-in one
-    )
+    volume_model: ConfiguredPath | None = None  # of `stonefall fit-volume`; without it, the built-in one
 
     def __post_init__(self) -> None:
         MeasuringParameters(density_g_cm3=self.density_g_cm3)

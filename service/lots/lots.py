@@ -17,7 +17,7 @@ from service.base.status import Report
 from service.lots.products import find_product
 from service.store import audit
 from service.store.events import EventType, NewEvent, note_event
-from service.store.schema import transaction
+from service.store.schema import rows_by_name, transaction
 
 Tonnage = Annotated[float, Field(ge=0, le=1e6)]
 MOST_RUNS = 1000
@@ -230,12 +230,9 @@ def _lots(
         f" FROM lots WHERE {condition} ORDER BY opened_at DESC, lot LIMIT ?",
         (*values, limit),
     )
-    _, *names = (column for column, *_ in rows.description)
     return [
-        LotDocument(
-            **asdict(LotDefinition(**json.loads(definition))), **dict(zip(names, others, strict=True))
-        )
-        for definition, *others in rows
+        LotDocument(**asdict(LotDefinition(**json.loads(row.pop("definition")))), **row)
+        for row in rows_by_name(rows)
     ]
 
 

@@ -21,6 +21,7 @@ from service.base.errors import InvalidRequestError
 from service.base.schema import ANSWER, Time
 from service.results.fields import INDEXED_FIELDS
 from service.results.refinement import why_not_refined
+from service.store.schema import rows_by_name
 from service.store.writes import IS_REPLAY
 
 SURFACES = sqrt(2.0)
@@ -146,17 +147,15 @@ def stones_behind(
         " ORDER BY volume_mm3 DESC, seq LIMIT ?",
         (lot, above_mm, up_to_mm, limit),
     )
-    names = [column for column, *_ in rows.description]
-    found = [dict(zip(names, row, strict=True)) for row in rows]
-    return [StoneBehindStep(**each, influence_percent=100 * each["volume_mm3"] / total_mm3) for each in found]
+    return [
+        StoneBehindStep(**row, influence_percent=100 * row["volume_mm3"] / total_mm3)
+        for row in rows_by_name(rows)
+    ]
 
 
 def _rows(connection: sqlite3.Connection, condition: str, *values: str) -> list[dict[str, Any]]:
-    query = connection.execute(
-        f"SELECT {', '.join(COLUMNS)} FROM stones WHERE {condition} ORDER BY seq",  # noqa: S608 - of this module
-        values,
-    )
-    return [dict(zip(COLUMNS, row, strict=True)) for row in query]
+    query = f"SELECT {', '.join(COLUMNS)} FROM stones WHERE {condition} ORDER BY seq"  # noqa: S608 - of this module
+    return rows_by_name(connection.execute(query, values))
 
 
 def _by_version(connection: sqlite3.Connection, lot: str, version: str) -> list[dict[str, Any]]:

@@ -14,7 +14,7 @@ from contextlib import closing, contextmanager
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from service.base.errors import StoreError
 from service.store import audit, indexed_fields
@@ -122,6 +122,12 @@ def read(
             return query(connection, *args, **kwargs)
     except (sqlite3.Error, ValueError) as err:  # or of a damaged record
         raise StoreError(f"{path}: {err}") from err
+
+
+def rows_by_name(rows: sqlite3.Cursor) -> list[dict[str, Any]]:
+    """Return rows by the names of their columns."""
+    names = [column for column, *_ in rows.description]
+    return [dict(zip(names, row, strict=True)) for row in rows]
 
 
 @contextmanager

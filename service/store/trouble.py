@@ -75,9 +75,8 @@ def _trouble_of_sqlite(error: sqlite3.Error) -> StoreTrouble | None:
     if code is None:  # not of SQLite: Python could not decode a text
         is_text = isinstance(error, sqlite3.OperationalError) and "decode" in str(error)
         return StoreTrouble(TroubleCause.DAMAGED, "a text is damaged") if is_text else None
-    if (
-        code == sqlite3.SQLITE_ERROR and str(error) == "malformed JSON"
-    ):  # all documents are made by `json.dumps`
+    # all documents are made by `json.dumps`
+    if code == sqlite3.SQLITE_ERROR and str(error) == "malformed JSON":
         return StoreTrouble(TroubleCause.DAMAGED, "a record is damaged")
     cause = CAUSES_OF_SQLITE.get(code & 0xFF)
     return None if cause is None else StoreTrouble(cause, str(error))

@@ -14,7 +14,7 @@ from service.base.errors import InvalidRequestError
 from service.base.schema import ANSWER, REQUEST, TIME, GivenTime, Time
 from service.store import audit
 from service.store.events import EventType, NewEvent, note_event
-from service.store.schema import transaction
+from service.store.schema import rows_by_name, transaction
 
 CLOCKS_DIFFER_S = 60.0
 """An entry may be so much in the future: who writes it has another clock."""
@@ -100,6 +100,4 @@ def entries(
         " WHERE at >= coalesce(?, '') AND at < coalesce(?, '9') ORDER BY at DESC, entry DESC LIMIT ?",
         (since, until, limit),
     )
-    names = [column for column, *_ in rows.description]
-    found = [dict(zip(names, row, strict=True)) for row in rows]
-    return [DiaryEntry(**each | {"kind": DiaryKind(each["kind"])}) for each in found]
+    return [DiaryEntry(**row | {"kind": DiaryKind(row["kind"])}) for row in rows_by_name(rows)]

@@ -18,6 +18,7 @@ from service.lots.figures import SHARES
 from service.lots.lots import LotState
 from service.lots.stones import stretch
 from service.lots.trends.diary import DiaryEntry, entries
+from service.store.schema import rows_by_name
 
 BUCKETS_S = (60, 120, 300, 600, 900, 1800, 3600, 7200, 10_800, 21_600, 43_200, 86_400)
 """Lengths of a bucket, s: of each the next is a multiple or nearly so, and all part a day."""
@@ -117,5 +118,4 @@ def _lots(connection: sqlite3.Connection, since: str, until: str) -> list[TrendL
         " WHERE opened_at < ? AND coalesce(closed_at, '9') >= ? ORDER BY opened_at DESC LIMIT ?",
         (until, since, MAX_MARKS),
     )
-    names = [column for column, *_ in rows.description]
-    return [TrendLot(**dict(zip(names, row, strict=True))) for row in rows][::-1]
+    return [TrendLot(**row) for row in rows_by_name(rows)][::-1]
