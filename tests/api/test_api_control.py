@@ -10,7 +10,7 @@ from support.outcomes import add, measured, rejected, trigger
 from support.rest import SICK_HEALTH, FakeControl
 
 from service.base.status import TRANSITIONS, AcquisitionState, AcquisitionTarget, ConflictError, next_state
-from service.health.routes.health import HealthDocument
+from service.health.routes import HealthDocument
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store
 from service.web.version import API_VERSION

@@ -48,7 +48,7 @@ def migrate(source: Path) -> None:
 
 def never_ready(source: Path) -> None:
     migrate(source)
-    path = source / "service/health/routes/health.py"
+    path = source / "service/health/routes.py"
     text = path.read_text()
     assert text.count("if not health.ready:") == 1
     path.write_text(text.replace("if not health.ready:", "if health is not None:"))

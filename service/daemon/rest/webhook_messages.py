@@ -5,14 +5,13 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from service.acquisition.routes.acquisition import AcquisitionAnswer
+from service.acquisition.routes import AcquisitionAnswer
 from service.base.schema import TIME
 from service.calibration.files import Activation
 from service.calibration.verification_limits import Summary
 from service.calibration.verifications import Verification
 from service.delivery.posting import TEST
-from service.health.routes.alarms import AlarmDocument
-from service.health.routes.health import HealthDocument
+from service.health.routes import AlarmDocument, HealthDocument
 from service.lots.lots import LotDocument
 from service.lots.trends.diary import DiaryEntry
 from service.store.events import EventType

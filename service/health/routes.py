@@ -1,24 +1,102 @@
-"""Alarms: conditions that need an operator, with the remedy; acknowledged and shelved by people."""
+"""Routes of health: liveness, readiness for stones, every check; alarms, acknowledged and shelved by people."""
 
-from dataclasses import asdict, dataclass
-from typing import Annotated, Any
+from dataclasses import asdict, dataclass, fields
+from importlib.metadata import version
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.base.language import Language
 from service.base.schema import adds_to
+from service.base.status import CheckStatus, HealthCheck, Ne107
 from service.health.alarms.alarm import ANNOUNCED, Alarm, AlarmState
 from service.health.alarms.alarms import Alarms
 from service.health.alarms.machine import MAX_SHELVED_S
 from service.health.alarms.rules import Rules
 from service.health.alarms.table import history
+from service.results.version import ALGORITHM_VERSION
 from service.web.auth import OPERABLE, READABLE, Who
 from service.web.context import Context
 from service.web.feeds import MAX_SEQ
-from service.web.problems import existing
+from service.web.problems import Problem, existing
+from service.web.version import API_VERSION
 
-router = APIRouter(prefix="/alarms", tags=["alarms"])
+router = APIRouter(prefix="/health", tags=["health"])
+
+OVERALL_STATUS = {Ne107.GOOD: CheckStatus.PASS, Ne107.FAILURE: CheckStatus.FAIL}
+"""Status of the whole device; a warning in all other states."""
+
+
+class HealthDocument(BaseModel):
+    """Health in detail, modelled on the expired Internet draft health+json."""
+
+    status: CheckStatus = Field(
+        description="In the words of health+json: `pass` for NE 107 good, `fail` for failure, else `warn`"
+    )
+    ne107: Ne107 = Field(description="Device state in the terms of NAMUR NE 107")
+    gate_ne107: Ne107 = Field(description="The light gate alone; each camera has its own in `/cameras`")
+    rig_ne107: Ne107 = Field(description="Geometry and optics of the rig: is all as it was calibrated")
+    ready: bool = Field(description="Whether the next stone will be measured")
+    reasons: list[str] = Field(description="Why it is not ready, or not `good`; empty when it is both")
+    version: str = Field(description="As `api_version`, which says of what")
+    release: str = Field(description="Version of the installed package")
+    api_version: str = Field(description="Version of this interface, by semver")
+    algorithm_version: str = Field(
+        description="Version of the algorithm, as new results name it; raised whenever results may change"
+    )
+    instance_id: str = Field(description="Identity of the history of results, as in `/results`")
+    checks: dict[str, HealthCheck] = Field(
+        description="By name, such as `gate`, `cameras`, `camera:c01`, `calibration`, `disk`"
+    )
+
+
+class Live(BaseModel):
+    """The process answers."""
+
+    status: Literal["pass"] = Field(default="pass", description="Always `pass`: the process answers")
+
+
+class Ready(BaseModel):
+    """Stones can be measured."""
+
+    ready: bool = Field(
+        default=True, description="Always true; otherwise the answer is the problem `not-ready`"
+    )
+
+
+@router.get("/live", response_model=Live)
+async def live() -> Live:
+    """Check that the process answers; asks no other part and needs no key."""
+    return Live()
+
+
+@router.get("/ready", response_model=Ready)
+async def ready(context: Context) -> Ready:
+    """Check that stones can be measured: 200, otherwise 503 with the reasons. Needs no key."""
+    health = context.control.health()
+    if not health.ready:
+        detail = "; ".join(health.reasons) or "no reason given"
+        raise Problem(503, "not-ready", detail, reasons=list(health.reasons))
+    return Ready()
+
+
+@router.get("", response_model=HealthDocument, dependencies=READABLE)
+async def health(context: Context) -> dict[str, Any]:
+    """Get the health: every check of cameras, gate, queue, workers, calibration, store, disk and more; always 200."""
+    state = context.control.health()
+    return {
+        **{each.name: getattr(state, each.name) for each in fields(state)},
+        "status": OVERALL_STATUS.get(state.ne107, CheckStatus.WARN),
+        "version": API_VERSION,
+        "release": version("stonefall"),
+        "api_version": API_VERSION,
+        "algorithm_version": ALGORITHM_VERSION,
+        "instance_id": context.store.instance_id,
+    }
+
+
+alarming = APIRouter(prefix="/alarms", tags=["alarms"])
 
 Number = Annotated[int, Path(ge=1, le=MAX_SEQ, description="`id` of the alarm")]
 Words = Annotated[Language, Query(description="Of `cause` and `action`")]
@@ -61,7 +139,7 @@ class ShelveRequest(BaseModel):
     reason: Annotated[str, Field(min_length=1, max_length=2000, description="Why it can wait")]
 
 
-@router.get("", response_model=AlarmsDocument, dependencies=READABLE)
+@alarming.get("", response_model=AlarmsDocument, dependencies=READABLE)
 async def alarms(context: Context, language: Words = Language.ENGLISH) -> dict[str, Any]:
     """List the alarms: those that have not ended, each with its cause and what to do."""
     known = context.part(Alarms)
@@ -72,7 +150,7 @@ async def alarms(context: Context, language: Words = Language.ENGLISH) -> dict[s
     }
 
 
-@router.get("/history", response_model=AlarmHistory, dependencies=READABLE)
+@alarming.get("/history", response_model=AlarmHistory, dependencies=READABLE)
 async def alarm_history(
     context: Context,
     check: Annotated[str | None, Query(max_length=100, description="Of this check alone")] = None,
@@ -89,7 +167,7 @@ async def alarm_history(
     }
 
 
-@router.post("/{alarm}/acknowledge", response_model=AlarmDocument, dependencies=OPERABLE)
+@alarming.post("/{alarm}/acknowledge", response_model=AlarmDocument, dependencies=OPERABLE)
 async def acknowledge_alarm(
     context: Context, alarm: Number, asking: Who, language: Words = Language.ENGLISH
 ) -> dict[str, Any]:
@@ -100,7 +178,7 @@ async def acknowledge_alarm(
     return _found(context, alarm, await context.part(Alarms).acknowledge(alarm, asking), language)
 
 
-@router.post("/{alarm}/shelve", response_model=AlarmDocument, dependencies=OPERABLE)
+@alarming.post("/{alarm}/shelve", response_model=AlarmDocument, dependencies=OPERABLE)
 async def shelve_alarm(
     context: Context, alarm: Number, wanted: ShelveRequest, asking: Who, language: Words = Language.ENGLISH
 ) -> dict[str, Any]:
@@ -109,7 +187,7 @@ async def shelve_alarm(
     return _found(context, alarm, shelved, language)
 
 
-@router.post("/{alarm}/unshelve", response_model=AlarmDocument, dependencies=OPERABLE)
+@alarming.post("/{alarm}/unshelve", response_model=AlarmDocument, dependencies=OPERABLE)
 async def unshelve_alarm(
     context: Context, alarm: Number, asking: Who, language: Words = Language.ENGLISH
 ) -> dict[str, Any]:
@@ -126,3 +204,6 @@ def _document(alarm: Alarm, rules: Rules, language: Language) -> dict[str, Any]:
     rule = rules.of(alarm.check)
     words = ("", "") if rule is None else (rule.cause[language], rule.action[language])
     return asdict(alarm) | {"cause": words[0], "action": words[1]}
+
+
+ROUTERS = (router, alarming)

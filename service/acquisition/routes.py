@@ -1,4 +1,4 @@
-"""The cameras of the rig, live."""
+"""Routes of the acquisition, which arm and disarm the rig, and of its cameras, live."""
 
 from dataclasses import asdict
 from typing import Any
@@ -15,11 +15,43 @@ from service.acquisition.pictures import (
     snapshot_png,
     subsampled,
 )
-from service.base.status import CameraStatus
+from service.base.status import AcquisitionStatus, AcquisitionTarget, CameraStatus
 from service.web.auth import OPERABLE, READABLE, Who
 from service.web.context import ApiContext, Context
 from service.web.parameters import CameraName
-from service.web.problems import Problem
+from service.web.problems import Problem, problem_responses
+
+acquiring = APIRouter(prefix="/acquisition", tags=["acquisition"])
+
+
+class AcquisitionAnswer(AcquisitionStatus):
+    """State of the rig; counters begin when it is armed."""
+
+
+class AcquisitionRequest(BaseModel):
+    """Request for a state of the rig."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    state: AcquisitionTarget = Field(description="`armed`: measure every stone; `disarmed`: ignore them")
+
+
+@acquiring.get("", response_model=AcquisitionAnswer, dependencies=READABLE)
+async def acquisition(context: Context) -> AcquisitionStatus:
+    """Get the state of the rig: are stones being measured, and if not, why."""
+    return context.control.acquisition_status()
+
+
+@acquiring.put("", response_model=AcquisitionAnswer, dependencies=OPERABLE, responses=problem_responses(409))
+async def set_acquisition(context: Context, wanted: AcquisitionRequest, asking: Who) -> AcquisitionStatus:
+    """Arm or disarm the rig. Repeating a request changes nothing; 409 when the current state forbids it."""
+    before = context.control.acquisition_status().state
+    state = await context.control.set_acquisition(wanted.state)
+    await context.store.note_change(
+        asking, f"acquisition {wanted.state}", "rig", before={"state": before}, after={"state": state}
+    )
+    return context.control.acquisition_status()
+
 
 router = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=READABLE)
 acting = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=OPERABLE)
@@ -126,3 +158,6 @@ def _status_of(context: ApiContext, camera: str) -> CameraStatus:
         if status.id == camera:
             return status
     raise Problem(404, "unknown-camera", f"the rig has no camera {camera!r}")
+
+
+ROUTERS = (acquiring, acting, router)

@@ -1,4 +1,4 @@
-"""Record bundles of images while measuring; fetch and delete recordings."""
+"""Routes of recordings: record bundles of images while measuring; fetch and delete recordings."""
 
 from dataclasses import asdict
 from typing import Annotated, Any
@@ -102,3 +102,6 @@ async def stop_recording(context: Context, name: RecordingName, asking: Who) -> 
 def _facts(status: RecordingStatus) -> dict[str, Any]:
     """Return the facts about a recording that the audit keeps."""
     return {name: value for name, value in asdict(status).items() if name not in ("name", "made_by")}
+
+
+ROUTERS = (router,)

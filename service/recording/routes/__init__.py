@@ -1,5 +1,0 @@
-"""Routes of recordings."""
-
-from service.recording.routes import recordings
-
-ROUTERS = (recordings.router,)
