@@ -9,7 +9,7 @@ import asyncio
 import logging
 import time
 from collections.abc import Awaitable, Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -28,21 +28,22 @@ from service.base.status import (
     trouble_check,
 )
 from service.calibration.drop_files import (
-    CalibrationDetails,
+    CalibrationDocument,
     ObservedDrop,
-    calibration_details,
+    calibration_document,
     keep_drop,
     outline_paths,
 )
 from service.calibration.drop_jobs import DropCollector, Solved, SolveJob, Solver, solve_apart
-from service.calibration.files import Activation, CalibrationRecord, image_sizes_px
-from service.calibration.plan import CalibrationRequest, Method
+from service.calibration.files import Activation, CalibrationRecord, CalibrationSummary, image_sizes_px
 from service.calibration.startup import CalibrationsAtStart
 from service.calibration.states import (
     OPEN,
     CalibrationAction,
     CalibrationConflictError,
+    CalibrationRequest,
     CalibrationState,
+    Method,
     next_state,
 )
 from service.calibration.verifications import Verification, VerificationRequest, Verifications
@@ -141,13 +142,17 @@ class Calibrations:
         """Return all calibrations, newest first."""
         return [self._records[name] for name in sorted(self._records, key=int, reverse=True)]
 
-    async def find(self, name: str) -> CalibrationDetails | None:
+    def summary(self, record: CalibrationRecord) -> CalibrationSummary:
+        """Return a calibration, with the fact whether it is in use."""
+        return CalibrationSummary(**asdict(record), is_active=record.id == self.active.id)
+
+    async def find(self, name: str) -> CalibrationDocument | None:
         """Return the details of one calibration, None when there is none of that name."""
         record = self._records.get(name)
         if record is None:
             return None
         try:
-            return await asyncio.to_thread(calibration_details, self._files, record, self.rig)
+            return await asyncio.to_thread(calibration_document, self._files, self.summary(record), self.rig)
         except RecordingError as err:
             raise StoreError(str(err)) from err
 

@@ -6,7 +6,7 @@ without it does not count.
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import fmean
@@ -20,8 +20,8 @@ from pipeline.calibration import BallDrop, BallView
 from pipeline.calibration.coverage import Coverage, coverage
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
-from service.base.schema import ANSWER
-from service.calibration.files import CalibrationFiles, CalibrationRecord, read_document
+from service.base.schema import ANSWER, adds_to
+from service.calibration.files import CalibrationFiles, CalibrationSummary, read_document
 
 HEADER = "header.json"
 """Name of the array that is no camera's; a camera id has no dot."""
@@ -83,33 +83,43 @@ def _without_outlines(drop: ObservedDrop) -> BallDrop:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CalibrationDetails:
-    """A calibration with its drops, in the order in which they fell, their coverage and its report."""
+class CalibrationDocument(CalibrationSummary):
+    """One calibration with its drops and its report."""
 
-    record: CalibrationRecord
-    drops: list[ObservedDrop]
+    __pydantic_config__ = adds_to(CalibrationSummary)
+
+    drops: Sequence[ObservedDrop]
+    """In the order in which they fell."""
     coverage: Coverage
-    residuals_px: Mapping[CameraId, float]  # rms over the drops, with the calibration in use when they fell
+    """How well the drops so far cover volume and images."""
+    residuals_before_px: Mapping[CameraId, float]
+    """Per camera, rms over the drops so far, with the calibration in use when they fell, px."""
     report: Mapping[str, Any] | None
+    """Result of the solution: residuals before and after (px), drops and views left out, centres of the balls (mm),
+    f-number and focus of the lenses (mm) or why they do not show, uncertainty, problems; null before it is solved."""
 
 
-def calibration_details(
-    files: CalibrationFiles, record: CalibrationRecord, rig_in_use: RigCalibration
-) -> CalibrationDetails:
-    """Read the details of a calibration, or raise `RecordingError`; without a solution the rig in use judges."""
-    drops = kept_drops(files.drops(record.id))
-    is_solved = record.calibration_id is not None
+def calibration_document(
+    files: CalibrationFiles, summary: CalibrationSummary, rig_in_use: RigCalibration
+) -> CalibrationDocument:
+    """Read the drops and the report of a calibration, or raise `RecordingError`.
+
+    Without a solution the rig in use judges the coverage.
+    """
+    drops = kept_drops(files.drops(summary.id))
+    is_solved = summary.calibration_id is not None
     squares: dict[CameraId, list[float]] = {}
     for drop in drops:
         for camera, residual_px in drop.residuals_px.items():
             squares.setdefault(camera, []).append(residual_px**2)
-    rig = files.rig(record) if is_solved else rig_in_use
-    return CalibrationDetails(
-        record=record,
+    rig = files.rig(summary) if is_solved else rig_in_use
+    report = (files.report(summary) if is_solved else None) or {}
+    return CalibrationDocument(
+        **asdict(summary),
         drops=drops,
         coverage=coverage([_without_outlines(drop) for drop in drops], rig),
-        residuals_px={camera: fmean(squares[camera]) ** 0.5 for camera in sorted(squares)},
-        report=files.report(record) if is_solved else None,
+        residuals_before_px={camera: fmean(squares[camera]) ** 0.5 for camera in sorted(squares)},
+        report={name: value for name, value in report.items() if name != "rig"} or None,
     )
 
 

@@ -18,7 +18,7 @@ from pipeline.views.epipolar_tangency import epipolar_tangents, tangency_scores_
 from service.calibration.drop_files import ObservedDrop, SeenCircle, read_drop, write_drop
 from service.calibration.drops import observe_drop, refusal_of, solve_drops
 from service.calibration.files import REPORT, RIG
-from service.calibration.plan import Method
+from service.calibration.states import Method
 from service.processing.measure_job import MeasureJob, background_at, lower_priority, rig_in, this_worker
 from service.processing.processing import KeepDrop
 from service.processing.worker_pool import JobLostError, JobPool, WorkerPool

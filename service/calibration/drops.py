@@ -22,7 +22,7 @@ from pipeline.frames import BundleKind, FrameBundle
 from pipeline.rig.cameras import RigCalibration, rig_to_document
 from pipeline.segmentation import BackgroundModel, Segmenter, segment_all
 from pipeline.views.epipolar_tangency import outlines_of
-from service.calibration.plan import Method
+from service.calibration.states import Method
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -29,7 +29,7 @@ from drivers.files.rig_file import read_rig, write_rig
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.base import aside
-from service.base.schema import ANSWER, Time
+from service.base.schema import ANSWER, Time, adds_to
 from service.calibration.states import CalibrationState
 from service.processing.measure_job import RigFile
 
@@ -75,6 +75,16 @@ class CalibrationRecord:
     """Checksum of its rig file, which results name; null without a rig."""
     detail: str | None = None
     """Why it was cancelled, could not be solved, or must not be accepted; null otherwise."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationSummary(CalibrationRecord):
+    """One calibration. It is open until it is accepted, rejected or cancelled; an accepted one is a version."""
+
+    __pydantic_config__ = adds_to(CalibrationRecord)
+
+    is_active: bool
+    """True if stones are measured with it now."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

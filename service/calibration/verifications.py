@@ -23,7 +23,7 @@ from service.base.schema import ANSWER, REQUEST, Name, Remark, Time
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.drop_jobs import DropCollector
 from service.calibration.files import CALIBRATION_NAME, read_document, write_document
-from service.calibration.plan import DiameterMm
+from service.calibration.states import DiameterMm
 from service.calibration.verification_limits import (
     Summary,
     VerificationParameters,

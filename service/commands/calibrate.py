@@ -41,7 +41,7 @@ from pipeline.segmentation.mask_segmenter import MaskSegmenter
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from service.base.errors import UsageError
 from service.calibration.drops import observe_drop, solve_drops
-from service.calibration.plan import BALL_DIAMETERS_MM, Method
+from service.calibration.states import BALL_DIAMETERS_MM, Method
 from service.commands.options import with_options
 from service.processing.models.networks import load_model
 

@@ -18,9 +18,8 @@ from service.calibration.drop_files import ObservedDrop, SeenCircle
 from service.calibration.drop_jobs import Solved, SolveJob
 from service.calibration.drops import refusal_of
 from service.calibration.files import Activation
-from service.calibration.plan import CalibrationRequest
 from service.calibration.startup import load_calibrations
-from service.calibration.states import CalibrationAction, CalibrationState
+from service.calibration.states import CalibrationAction, CalibrationRequest, CalibrationState
 from service.calibration.verification_limits import VerificationParameters
 from service.calibration.verifications import open_verifications
 

@@ -21,7 +21,7 @@ from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from service.calibration.drop_files import ObservedDrop, read_drop, write_drop
 from service.calibration.drop_jobs import ObserveJob, Solved, SolveJob, observe, solve
-from service.calibration.plan import Method
+from service.calibration.states import Method
 from service.processing import measure_job
 from service.processing.background_files import write_background
 from service.processing.measure_job import MeasureJob, RigFile, Worker, WorkerContext, WorkerFailure
