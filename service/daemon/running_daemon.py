@@ -35,8 +35,8 @@ from service.daemon.session import Session
 from service.delivery.webhooks import Webhooks
 from service.health.alarms.alarms import Alarms
 from service.health.assessment import assess
-from service.health.device_words import camera_ne107, rig_ne107
 from service.health.facts import Facts
+from service.health.findings import camera_ne107, rig_ne107
 from service.health.optical_watch import OpticalWatch
 from service.health.refinement_watch import RefinementWatch
 from service.health.rig_watch import CameraScore, RigWatch
@@ -141,13 +141,13 @@ class Daemon:
 
     def cameras(self) -> list[CameraStatus]:
         scores, optics = self.watches.rig.scores(), self.watches.optics.optics()
-        suspicions, findings = self.watches.rig.suspicions(), self.watches.optics.findings()
+        findings = (*self.watches.rig.findings(), *self.watches.optics.findings())
         return [
             status.model_copy(
                 update=asdict(scores.get(status.id, CameraScore()))
                 | {
                     "optics": optics.get(status.id),
-                    "ne107": camera_ne107(status, suspicions, findings),
+                    "ne107": camera_ne107(status, findings),
                 }
             )
             for status in self.acquisition.cameras.statuses()
@@ -167,7 +167,7 @@ class Daemon:
             acquisition=self.acquisition.status(),
             views=self.settings.views,
             rig_ne107=rig_ne107(
-                self.watches.rig.suspicions(), self.watches.optics.findings(), self.calibrations.facts()
+                (*self.watches.rig.findings(), *self.watches.optics.findings()), self.calibrations.facts()
             ),
         )
 

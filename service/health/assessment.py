@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pipeline.views.quality import ViewsParameters
 from service.base.status import AcquisitionState, AcquisitionStatus, Checks, CheckStatus, Health, Ne107
 from service.health.alarms.rules import CAMERA, load_rules
-from service.health.device_words import gate_ne107
+from service.health.findings import gate_ne107
 
 
 def assess(

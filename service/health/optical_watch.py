@@ -9,7 +9,6 @@ Whether a view is used is decided for each stone alone, by the pipeline, never h
 from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from enum import IntEnum
 from itertools import pairwise
 from math import hypot, sqrt
 from statistics import fmean, median
@@ -17,8 +16,9 @@ from typing import Any
 
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
-from service.base.status import CameraOptics, Checks, HealthCheck, trouble_check
+from service.base.status import CameraOptics, Checks, trouble_check
 from service.health.dark_panels import DarkPlace, ViewLight, dark_places
+from service.health.findings import Finding, Severity, described
 from service.results.fields import Result
 
 WINDOW = 20
@@ -48,23 +48,6 @@ class OpticalParameters:
         for limit in fields(self):
             if not getattr(self, limit.name) > 0:
                 raise ValueError(f"{limit.name} must be positive, not {getattr(self, limit.name):g}")
-
-
-class Severity(IntEnum):
-    """Severity of a figure, by its share of the limit."""
-
-    NOTHING = 0
-    MAINTENANCE = 1
-    OUT_OF_SPECIFICATION = 2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OpticalFinding:
-    """Something that should be cleaned, adjusted or replaced."""
-
-    cameras: tuple[CameraId, ...]  # that see it, worst first
-    severity: Severity
-    detail: str  # what it is, how much, and the remedy
 
 
 LIGHT_CHANGE, GRADIENT = "light_change", "gradient"
@@ -150,7 +133,10 @@ class OpticalWatch:
         self._limits = limits
 
     def checks(self) -> Checks:
-        return {"optics": optics_check(self.findings(), len(self._cameras))}
+        """Check how well the cameras see: windows, lenses and light."""
+        findings, n_cameras = self.findings(), len(self._cameras)
+        n_clear = n_cameras - len({camera for finding in findings for camera in finding.cameras})
+        return {"optics": trouble_check(described(findings, n_cameras), n_clear, "cameras")}
 
     def feed(self, record: Result) -> None:
         """Take one result into account."""
@@ -166,14 +152,14 @@ class OpticalWatch:
         """Return the optics of every camera of the rig."""
         return {name: camera.optics for name, camera in self._cameras.items()}
 
-    def findings(self) -> tuple[OpticalFinding, ...]:
+    def findings(self) -> tuple[Finding, ...]:
         """Return the findings that need an operator, worst first."""
         found = self._light_findings()
         for limit in DETAILS:
             found += self._limit_findings(limit)
         return tuple(sorted(found, key=lambda finding: -finding.severity))
 
-    def _limit_findings(self, limit: str) -> list[OpticalFinding]:
+    def _limit_findings(self, limit: str) -> list[Finding]:
         """Return one finding for each camera beyond a limit, or one for all if most are: the cause is common then."""
         values = {
             name: camera.limited_figures()[limit]
@@ -183,7 +169,7 @@ class OpticalWatch:
         worst_first = sorted(values, key=lambda name: -values[name])
         groups = [worst_first] if self._are_most(values) else [[name] for name in worst_first]
         return [
-            OpticalFinding(
+            Finding(
                 cameras=tuple(group),
                 severity=max(self._cameras[name].severity(limit) for name in group),
                 detail=self._cameras[group[0]].detail(limit),
@@ -191,7 +177,7 @@ class OpticalWatch:
             for group in groups
         ]
 
-    def _light_findings(self) -> list[OpticalFinding]:
+    def _light_findings(self) -> list[Finding]:
         """Return where the light has changed: everywhere, on a part of the wall, or for single cameras."""
         changed = {
             name: severity
@@ -203,19 +189,17 @@ class OpticalWatch:
         }
         if self._are_most(changed):
             detail = f"the light {self._describe_change(lights, changed)}: look at the strobes' supply"
-            return [OpticalFinding(cameras=tuple(changed), severity=max(changed.values()), detail=detail)]
+            return [Finding(cameras=tuple(changed), severity=max(changed.values()), detail=detail)]
         found = []
         for place in dark_places(self._rig, lights):
             alarmed = [changed.pop(name) for name in place.cameras if name in changed]
             if alarmed:
                 found.append(
-                    OpticalFinding(
-                        cameras=place.cameras, severity=max(alarmed), detail=_describe_place(place)
-                    )
+                    Finding(cameras=place.cameras, severity=max(alarmed), detail=_describe_place(place))
                 )
         for name, severity in changed.items():
             detail = f"its light {self._describe_change(lights, [name])}: look at its gain and flash"
-            found.append(OpticalFinding(cameras=(name,), severity=severity, detail=detail))
+            found.append(Finding(cameras=(name,), severity=severity, detail=detail))
         return found
 
     def _describe_change(self, lights: Mapping[CameraId, ViewLight], cameras: Collection[CameraId]) -> str:
@@ -264,13 +248,3 @@ def _describe_place(place: DarkPlace) -> str:
         f"the wall is {place.loss:.0%} darker about azimuth {place.azimuth_deg:.0f},"
         f" elevation {place.elevation_deg:+.0f} degrees: look at the light panel there"
     )
-
-
-def optics_check(findings: Sequence[OpticalFinding], n_cameras: int) -> HealthCheck:
-    """Check how well the cameras see: windows, lenses and light."""
-    concerned = {camera for finding in findings for camera in finding.cameras}
-    trouble = "; ".join(
-        f"{', '.join(finding.cameras) if 2 * len(finding.cameras) <= n_cameras else 'all'}: {finding.detail}"
-        for finding in findings
-    )
-    return trouble_check(trouble or None, n_cameras - len(concerned), "cameras")

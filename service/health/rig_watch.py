@@ -9,7 +9,7 @@ came before, hence not on the number of workers. Only the alarm is kept here.
 """
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from statistics import median
 
@@ -19,7 +19,8 @@ from pipeline.fall import Fall
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.views.epipolar_tangency import ALARM_PX
-from service.base.status import Checks, HealthCheck, trouble_check
+from service.base.status import Checks, trouble_check
+from service.health.findings import Finding, Severity, described
 from service.results.fields import Result
 
 WINDOW = 20
@@ -45,16 +46,6 @@ class CameraScore:
     tangency_drift_px: float | None = None  # against the first stones since `restart`
     residual_px: float | None = None
     residual_drift_px: float | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Suspicion:
-    """A camera that contradicts its calibration."""
-
-    camera: CameraId | None  # None: most of them
-    score_px: float
-    is_dropped: bool  # the latest stone was measured without it
-    detail: str  # what happened to it, how much, and the remedy
 
 
 @dataclass(slots=True)
@@ -157,15 +148,20 @@ class RigWatch:
         }
 
     def checks(self) -> Checks:
-        return {"rig": rig_check(self.suspicions(), self.scores().values())}
+        """Check whether cameras still are where their calibration says, by the outlines of the stones."""
+        findings = self.findings()
+        scores_px = [px for score in self.scores().values() if (px := score.tangency_px) is not None]
+        scores_px += [finding.score_px for finding in findings]
+        worst_px = round(max(scores_px), 2) if scores_px else None
+        return {"rig": trouble_check(described(findings, len(self._cameras)), worst_px, "px")}
 
-    def suspicions(self) -> tuple[Suspicion, ...]:
+    def findings(self) -> tuple[Finding, ...]:
         """Return the cameras that contradict their calibration, worst first, for operators."""
         displaced = [
-            Suspicion(
-                camera=name,
+            Finding(
+                cameras=(name,),
                 score_px=score_px,
-                is_dropped=camera.is_dropped,
+                severity=Severity.OUT_OF_SPECIFICATION if camera.is_dropped else Severity.MAINTENANCE,
                 detail=_describe_displacement(camera, score_px, self._speed_mm_s),
             )
             for name, camera in self._cameras.items()
@@ -173,21 +169,21 @@ class RigWatch:
             and (camera.is_dropped or score_px >= camera.alarm_px)
         ]
         if 2 * len(displaced) > len(self._cameras):
-            displaced = [_common_suspicion(displaced, len(self._cameras))]
+            displaced = [_in_common(displaced, len(self._cameras))]
         differing = [
-            Suspicion(
-                camera=name,
+            Finding(
+                cameras=(name,),
                 score_px=camera.residual.recent_median or 0.0,
-                is_dropped=False,
+                severity=Severity.MAINTENANCE,
                 detail=f"its silhouettes leave the hull of the others by {camera.residual.recent_median:.1f} px,"
                 f" {drift_px:.1f} px more than at first: clean its window, look at its light and focus",
             )
             for name, camera in self._cameras.items()
             if (drift_px := camera.residual.drift) is not None
             and drift_px >= RESIDUAL_DRIFT_PX
-            and name not in {suspicion.camera for suspicion in displaced}
+            and not any(name in finding.cameras for finding in displaced)
         ]
-        return tuple(sorted([*displaced, *differing], key=lambda suspicion: -suspicion.score_px))
+        return tuple(sorted([*displaced, *differing], key=lambda finding: -finding.score_px))
 
 
 def _describe_displacement(camera: _Camera, score_px: float, speed_mm_s: float) -> str:
@@ -225,21 +221,13 @@ def _describe_displacement(camera: _Camera, score_px: float, speed_mm_s: float) 
     )
 
 
-def _common_suspicion(displaced: Sequence[Suspicion], n_cameras: int) -> Suspicion:
-    """Return one suspicion for most cameras: what they have in common is more likely the cause than each of them."""
-    score_px = median(suspicion.score_px for suspicion in displaced)
-    return Suspicion(
-        camera=None,
+def _in_common(displaced: Sequence[Finding], n_cameras: int) -> Finding:
+    """Return one finding for most cameras: what they have in common is more likely the cause than each of them."""
+    score_px = median(finding.score_px for finding in displaced)
+    return Finding(
+        cameras=(),
         score_px=score_px,
-        is_dropped=any(suspicion.is_dropped for suspicion in displaced),
+        severity=max(finding.severity for finding in displaced),
         detail=f"{len(displaced)} of {n_cameras} cameras contradict one another, by {score_px:.1f} px: look at light"
         " and focus, then recalibrate with the ball",
     )
-
-
-def rig_check(suspicions: Sequence[Suspicion], scores: Iterable[CameraScore]) -> HealthCheck:
-    """Check whether cameras still are where their calibration says, by the outlines of the stones."""
-    scores_px = [score.tangency_px for score in scores if score.tangency_px is not None]
-    scores_px += [suspicion.score_px for suspicion in suspicions]
-    trouble = "; ".join(f"{suspicion.camera or 'all'}: {suspicion.detail}" for suspicion in suspicions)
-    return trouble_check(trouble or None, round(max(scores_px), 2) if scores_px else None, "px")

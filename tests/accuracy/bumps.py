@@ -135,11 +135,11 @@ def bump(rig: RigCalibration, turn_deg: float, rng: np.random.Generator, seen: S
         record = watch_record(seen(hit), rig)
         watch.feed(record)
         dropped += camera in record.dropped_views
-        for suspicion in watch.suspicions():
-            if suspicion.camera == camera:
-                named_after, said = named_after or number, suspicion.detail
+        for finding in watch.findings():
+            if finding.cameras == (camera,):
+                named_after, said = named_after or number, finding.detail
             else:
-                others.add(suspicion.camera)
+                others.add(finding.cameras)
     (before_uv,), (after_uv,) = (
         view.subset([camera]).cameras[0].project([[0.0, 0.0, 0.0]])[0] for view in (rig, hit)
     )
@@ -148,12 +148,12 @@ def bump(rig: RigCalibration, turn_deg: float, rng: np.random.Generator, seen: S
 
 
 def false_alarms(rig: RigCalibration, seen: Seen, n_stones: int = N_HEALTHY) -> tuple[int, Array]:
-    """Suspicions in the course of healthy stones, and the scores of all cameras in all of them."""
+    """Findings in the course of healthy stones, and the scores of all cameras in all of them."""
     watch, alarms, scores_px = RigWatch(rig), 0, list[float]()
     for _ in range(n_stones):
         record = watch_record(seen(rig), rig)
         watch.feed(record)
-        alarms += len(watch.suspicions())
+        alarms += len(watch.findings())
         scores_px += record.tangency_px.values()
     return alarms, np.array(scores_px)
 

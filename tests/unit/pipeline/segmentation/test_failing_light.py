@@ -20,7 +20,8 @@ from pipeline.synthesis.bodies import sphere
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.disturbance import Disturbance, dust
 from pipeline.synthesis.renderer import RenderedRig, simulate_rig
-from service.health.optical_watch import MIN_EXPOSURES, OpticalParameters, OpticalWatch, Severity
+from service.health.findings import Severity
+from service.health.optical_watch import MIN_EXPOSURES, OpticalParameters, OpticalWatch
 from service.results.record import optics_record
 
 CAMERAS = [CameraId(f"c{number:02d}") for number in (1, 3, 6, 7, 8, 9, 11, 14, 16)]

@@ -10,6 +10,7 @@ import pytest
 
 from drivers.interfaces import CameraProcessStatus, ProcessState
 from pipeline.frames import CameraId
+from pipeline.rig.design import nominal_rig
 from pipeline.views.quality import ViewsParameters
 from service.acquisition.checks import rig_checks
 from service.base.status import (
@@ -28,10 +29,10 @@ from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import clock_check, loop_check
 from service.health.alarms.rules import load_rules
 from service.health.assessment import assess
-from service.health.device_words import rig_ne107
-from service.health.optical_watch import OpticalFinding, Severity, optics_check
+from service.health.findings import Finding, Severity, rig_ne107
+from service.health.optical_watch import OpticalParameters, OpticalWatch
 from service.health.refinement_watch import RefinementTrend, RefinementWatch
-from service.health.rig_watch import CameraScore, Suspicion, rig_check
+from service.health.rig_watch import CameraScore, RigWatch
 from service.health.segmentation_watch import SegmentationWatch
 from service.processing.segmenters import CLASSICAL, SegmenterPlan
 from service.processing.spool import BundleFiles, Spool
@@ -46,6 +47,7 @@ from service.store.checks import (
 )
 from service.store.trouble import StoreTrouble, TroubleCause
 
+RIG = nominal_rig()
 CALIBRATED = CalibrationFacts(calibration_id="rig", method="bundle", used_since="2026-11-21T04:00:00.000Z")
 
 
@@ -100,8 +102,8 @@ HEALTHY: Checks = {
     "store": store_check(None, (), last_seq=7, n_waiting=0),
     "disk": disk_check(100 * LOW_DISK_BYTES),
     **retention_checks(RetentionFacts(warn_days=7.0)),
-    "rig": rig_check((), ()),
-    "optics": optics_check((), 16),
+    **RigWatch(RIG).checks(),
+    **OpticalWatch(RIG, OpticalParameters()).checks(),
     **RefinementWatch().checks(),
 }
 
@@ -256,7 +258,7 @@ def test_what_makes_results_doubtful_is_out_of_specification(changed: Checks, is
 
 def test_a_calibration_in_doubt_is_out_of_specification():
     failed = replace(CALIBRATED, trouble="verification 0001 failed")
-    health = assessed(calibration_checks(failed), rig_ne107=rig_ne107((), (), failed))
+    health = assessed(calibration_checks(failed), rig_ne107=rig_ne107((), failed))
     assert (health.ne107, health.ready) == (Ne107.OUT_OF_SPECIFICATION, True)
     assert health.reasons == ("calibration: verification 0001 failed",)
 
@@ -293,21 +295,30 @@ def test_what_a_camera_warns_of_is_maintenance():
 
 
 @pytest.mark.parametrize(
-    ("is_dropped", "state"), [(False, Ne107.MAINTENANCE_REQUIRED), (True, Ne107.OUT_OF_SPECIFICATION)]
+    ("severity", "state"),
+    [
+        (Severity.MAINTENANCE, Ne107.MAINTENANCE_REQUIRED),
+        (Severity.OUT_OF_SPECIFICATION, Ne107.OUT_OF_SPECIFICATION),
+    ],
 )
-def test_a_camera_that_moved_is_named_with_the_remedy(is_dropped: bool, state: Ne107):
-    moved = Suspicion(
-        camera=CameraId("c05"), score_px=0.8, is_dropped=is_dropped, detail="moved: recalibrate"
-    )
-    health = assessed({"rig": rig_check((moved,), ())}, rig_ne107=rig_ne107((moved,), (), CALIBRATED))
+def test_a_camera_that_moved_is_named_with_the_remedy(
+    severity: Severity, state: Ne107, monkeypatch: pytest.MonkeyPatch
+):
+    moved = Finding(cameras=(CameraId("c05"),), score_px=0.8, severity=severity, detail="moved: recalibrate")
+    watch = RigWatch(RIG)
+    monkeypatch.setattr(watch, "findings", lambda: (moved,))
+    health = assessed(watch.checks(), rig_ne107=rig_ne107((moved,), CALIBRATED))
     assert (health.ne107, health.ready) == (state, True)
     assert health.reasons == ("rig: c05: moved: recalibrate",)
     check = health.checks["rig"]
     assert (check.status, check.observed_value, check.observed_unit) == (CheckStatus.WARN, 0.8, "px")
 
 
-def test_the_worst_score_of_a_healthy_rig_is_shown():
-    check = rig_check((), [CameraScore(), *(CameraScore(tangency_px=0.05 + 0.01 * n) for n in range(16))])
+def test_the_worst_score_of_a_healthy_rig_is_shown(monkeypatch: pytest.MonkeyPatch):
+    scores = [CameraScore(), *(CameraScore(tangency_px=0.05 + 0.01 * n) for n in range(16))]
+    watch = RigWatch(RIG)
+    monkeypatch.setattr(watch, "scores", lambda: dict(enumerate(scores)))
+    check = watch.checks()["rig"]
     assert (check.status, check.observed_value, check.detail) == (CheckStatus.PASS, 0.2, None)
 
 
@@ -318,15 +329,20 @@ def test_the_worst_score_of_a_healthy_rig_is_shown():
         (Severity.OUT_OF_SPECIFICATION, Ne107.OUT_OF_SPECIFICATION),
     ],
 )
-def test_dirty_windows_ask_for_maintenance_before_results_suffer(severity: Severity, state: Ne107):
+def test_dirty_windows_ask_for_maintenance_before_results_suffer(
+    severity: Severity, state: Ne107, monkeypatch: pytest.MonkeyPatch
+):
     c05, everywhere = CameraId("c05"), tuple(camera.id for camera in cameras())
-    dusty = OpticalFinding(cameras=(c05,), severity=severity, detail="clean window and lens")
-    health = assessed({"optics": optics_check((dusty,), 16)}, rig_ne107=rig_ne107((), (dusty,), CALIBRATED))
+    dusty = Finding(cameras=(c05,), severity=severity, detail="clean window and lens")
+    watch = OpticalWatch(RIG, OpticalParameters())
+    monkeypatch.setattr(watch, "findings", lambda: (dusty,))
+    health = assessed(watch.checks(), rig_ne107=rig_ne107((dusty,), CALIBRATED))
     assert (health.ne107, health.ready) == (state, True)
     assert health.reasons == ("optics: c05: clean window and lens",)
     assert health.checks["optics"].observed_value == 15
-    weak = OpticalFinding(cameras=everywhere, severity=severity, detail="look at the strobes' supply")
-    assert optics_check((weak,), 16).detail == "all: look at the strobes' supply"
+    weak = Finding(cameras=everywhere, severity=severity, detail="look at the strobes' supply")
+    monkeypatch.setattr(watch, "findings", lambda: (weak,))
+    assert watch.checks()["optics"].detail == "all: look at the strobes' supply"
 
 
 def test_dents_that_are_not_seen_ask_for_maintenance_and_stones_are_measured_on():

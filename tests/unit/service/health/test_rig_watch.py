@@ -12,7 +12,8 @@ from support.outlines import seen_by, stone_outlines, stone_points, watch_record
 from pipeline.frames import CameraId
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.view_optics import ViewOptics
-from service.health.rig_watch import MIN_STONES, REMEDY, WINDOW, RigWatch, Suspicion
+from service.health.findings import Finding, Severity
+from service.health.rig_watch import MIN_STONES, REMEDY, WINDOW, RigWatch
 from service.results.fields import Result
 
 RIG = as_built(nominal_rig(), seed=3)
@@ -46,14 +47,14 @@ def fed(*records: Result) -> RigWatch:
     return watch
 
 
-def the_suspicion(watch: RigWatch) -> Suspicion:
-    (suspicion,) = watch.suspicions()
-    return suspicion
+def the_finding(watch: RigWatch) -> Finding:
+    (finding,) = watch.findings()
+    return finding
 
 
 def test_a_healthy_rig_is_not_suspected():
     watch = fed(*[record()] * 100)
-    assert not watch.suspicions()
+    assert not watch.findings()
     score = watch.scores()[C05]
     assert (score.tangency_px, score.residual_px) == (0.07, 0.15)
     assert (score.tangency_drift_px, score.residual_drift_px) == (0.0, 0.0)
@@ -61,32 +62,32 @@ def test_a_healthy_rig_is_not_suspected():
 
 def test_few_stones_are_no_opinion():
     watch = fed(*[record({"c05": 1.0})] * (MIN_STONES - 1))
-    assert not watch.suspicions()
+    assert not watch.findings()
     assert watch.scores()[C05].tangency_px is None
     watch.feed(record({"c05": 1.0}))
-    assert the_suspicion(watch).camera == C05
+    assert the_finding(watch).cameras == (C05,)
 
 
 def test_a_view_that_was_left_out_is_named_at_once_and_cleared_by_a_clean_stone():
     watch = fed(*[record()] * 30, record({"c05": 31.0}, (40.0, 20.0), dropped=("c05",)))
-    found = the_suspicion(watch)
-    assert (found.camera, found.score_px, found.is_dropped) == (C05, 31.0, True)
+    found = the_finding(watch)
+    assert (found.cameras, found.score_px, found.severity) == ((C05,), 31.0, Severity.OUT_OF_SPECIFICATION)
     assert found.detail.startswith(
         "moved: it sees the stones 44.7 px from where the others do, as if turned by 0.4"
     )
     assert found.detail.endswith(REMEDY)
     watch.feed(record())
-    assert not watch.suspicions()
+    assert not watch.findings()
 
 
 def test_a_camera_that_hardly_moved_is_named_within_the_window():
     watch, n_stones = fed(*[record()] * 100), 0
-    while not watch.suspicions():
+    while not watch.findings():
         watch.feed(record({"c05": 0.8}, (1.2, 0.3)))
         n_stones += 1
     assert n_stones <= WINDOW
-    found = the_suspicion(watch)
-    assert (found.camera, found.is_dropped) == (C05, False)
+    found = the_finding(watch)
+    assert (found.cameras, found.severity) == ((C05,), Severity.MAINTENANCE)
     assert watch.scores()[C05].tangency_drift_px == pytest.approx(0.365)
 
 
@@ -98,7 +99,7 @@ def test_a_shift_along_the_fall_is_a_time(camera: str, off_us: float):
     (at_uv, then_uv), _ = view.project([[0, 0, 0], [0, 0, -2.426e-3 * off_us]])
     shift = tuple(then_uv - at_uv)
     score_px = float(0.64 * np.hypot(*shift))
-    detail = the_suspicion(fed(*[record({camera: score_px}, shift)] * MIN_STONES)).detail
+    detail = the_finding(fed(*[record({camera: score_px}, shift)] * MIN_STONES)).detail
     found = re.match(r"exposes (\d+) us (late|early), or has turned by .* px (lower|higher) than", detail)
     assert found is not None
     assert float(found[1]) == pytest.approx(abs(off_us), rel=0.02)
@@ -106,7 +107,7 @@ def test_a_shift_along_the_fall_is_a_time(camera: str, off_us: float):
     assert found[3] == ("lower" if off_us > 0 else "higher")
     assert "look at its trigger" in detail
     aside = (shift[1], -shift[0])
-    detail = the_suspicion(fed(*[record({camera: score_px}, aside)] * MIN_STONES)).detail
+    detail = the_finding(fed(*[record({camera: score_px}, aside)] * MIN_STONES)).detail
     assert detail.startswith("moved: ")
 
 
@@ -116,22 +117,22 @@ def test_a_camera_that_exposes_late_is_told_from_one_that_moved_aside():
     (late,) = RIG.subset([CameraId("c07")]).cameras
     for _ in range(WINDOW):
         watch.feed(watch_record(stone_outlines(RIG, rng, 0.08), RIG))
-    while not watch.suspicions():
+    while not watch.findings():
         points_mm = stone_points(rng)
         outlines = {camera.id: seen_by(camera, points_mm, rng, 0.08) for camera in RIG.cameras}
         outlines[late.id] = seen_by(late, points_mm - [0, 0, 2.426e-3 * 40], rng, 0.08)
         watch.feed(watch_record(outlines, RIG))
         n_late += 1
     assert n_late <= WINDOW
-    found = the_suspicion(watch)
-    assert found.camera == "c07"
+    found = the_finding(watch)
+    assert found.cameras == ("c07",)
     off_us = re.match(r"exposes (\d+) us late", found.detail)
     assert off_us is not None
     assert float(off_us[1]) == pytest.approx(40, abs=5)
 
 
 def test_outlines_that_differ_without_a_shift_are_not_called_a_move():
-    detail = the_suspicion(fed(*[record({"c05": 0.6}, (0.1, 0.0))] * MIN_STONES)).detail
+    detail = the_finding(fed(*[record({"c05": 0.6}, (0.1, 0.0))] * MIN_STONES)).detail
     assert "turned about its line of sight, out of focus, or dirty" in detail
 
 
@@ -146,9 +147,9 @@ def optics_of(edge_width_px: float) -> ViewOptics:
 def test_outlines_that_are_blurred_disagree_more_without_having_moved():
     blurred = {camera: optics_of(edge_width_px=4 * 2.6) for camera in RIG.camera_ids}
     stone = record(dict.fromkeys(RIG.camera_ids, 0.5)).model_copy(update={"optics": blurred})
-    assert not fed(*[stone] * WINDOW).suspicions()
+    assert not fed(*[stone] * WINDOW).findings()
     moved = record({"c05": 1.3}, (2.0, 0.5)).model_copy(update={"optics": blurred})
-    assert the_suspicion(fed(*[moved] * MIN_STONES)).camera == C05
+    assert the_finding(fed(*[moved] * MIN_STONES)).cameras == (C05,)
 
 
 def test_a_sharp_camera_is_compared_with_the_blurred_ones():
@@ -156,28 +157,28 @@ def test_a_sharp_camera_is_compared_with_the_blurred_ones():
         "c05": optics_of(edge_width_px=2.6)
     }
     stone = record({"c05": 0.5}, (0.7, 0.2)).model_copy(update={"optics": blurred})
-    assert not fed(*[stone] * WINDOW).suspicions()
+    assert not fed(*[stone] * WINDOW).findings()
 
 
 def test_a_view_that_is_left_out_three_times_in_a_row_is_no_accident():
     odd = record({"c05": 0.1}, dropped=("c05",))
     watch = fed(*[record()] * 5, odd, odd, record(), odd, odd)
-    assert not watch.suspicions()
+    assert not watch.findings()
     watch.feed(odd)
-    found = the_suspicion(watch)
-    assert (found.camera, found.is_dropped) == (C05, True)
+    found = the_finding(watch)
+    assert (found.cameras, found.severity) == ((C05,), Severity.OUT_OF_SPECIFICATION)
     assert found.detail.startswith("contradicts the hull of the others, 3 stones in a row: clean its window")
 
 
 def test_the_worst_is_named_first():
     watch = fed(*[record({"c05": 0.5, "c11": 0.9}, (1.0, 0.0))] * MIN_STONES)
-    assert [suspicion.camera for suspicion in watch.suspicions()] == ["c11", "c05"]
+    assert [finding.cameras for finding in watch.findings()] == [("c11",), ("c05",)]
 
 
 def test_most_cameras_at_once_are_one_alarm():
     watch = fed(*[record(dict.fromkeys(RIG.camera_ids[:9], 0.5))] * MIN_STONES)
-    found = the_suspicion(watch)
-    assert found.camera is None
+    found = the_finding(watch)
+    assert found.cameras == ()
     assert found.detail.startswith(
         "9 of 16 cameras contradict one another, by 0.5 px: look at light and focus"
     )
@@ -187,8 +188,8 @@ def test_a_view_that_slowly_leaves_the_hull_is_dirty():
     watch = fed(*[record()] * WINDOW)
     for step in range(WINDOW):
         watch.feed(record(residual_px={"c05": 0.15 + 0.04 * step}))
-    found = the_suspicion(watch)
-    assert found.camera == C05
+    found = the_finding(watch)
+    assert found.cameras == (C05,)
     assert "clean its window" in found.detail
     assert watch.scores()[C05].residual_drift_px == pytest.approx(0.38)
 
@@ -197,15 +198,15 @@ def test_scores_belong_to_a_calibration():
     watch = fed(*[record({"c05": 6.0}, (9.0, 0.0))] * 10)
     other = replace(RIG, name="new")
     watch.restart(other)
-    assert not watch.suspicions()
+    assert not watch.findings()
     watch.feed(record({"c05": 6.0}, dropped=("c05",)))  # a stone from before the activation
-    assert not watch.suspicions()
+    assert not watch.findings()
     watch.feed(record({"c05": 6.0}, (9.0, 0.0), dropped=("c05",), calibration_id=other.calibration_id))
-    assert the_suspicion(watch).camera == C05
+    assert the_finding(watch).cameras == (C05,)
 
 
 def test_records_that_compare_no_views_teach_nothing():
     watch = fed(*[record({"c05": 31.0}, (50.0, 0.0), dropped=("c05",))])
-    before = watch.suspicions()
+    before = watch.findings()
     watch.feed(result(outcome="lost", calibration_id=RIG.calibration_id))
-    assert watch.suspicions() == before
+    assert watch.findings() == before
