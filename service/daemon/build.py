@@ -32,7 +32,7 @@ from service.health.optical_watch import OpticalWatch
 from service.health.refinement_watch import RefinementWatch
 from service.health.rig_watch import RigWatch
 from service.health.segmentation_watch import SegmentationWatch
-from service.processing.background_files import KeptBackground
+from service.processing.backgrounds import KeptBackground
 from service.processing.measure_job import WorkerContext, prepare
 from service.processing.processing import Processing, ProcessingContext, ProcessingObserver
 from service.processing.segmenters import SegmenterPlan

@@ -6,7 +6,7 @@ the newest background of each session, which they are measured with. Everything 
 killed meanwhile leaves either the old name or the new one.
 
 `deaths` counts the daemons that ended while a worker had the bundle: the folder of its job is there. After
-`MAX_DEATHS` it is not measured again, or one bundle could end every daemon for ever.
+`MAX_DEATHS` it is not measured again, or one bundle could end every daemon for ever: it goes into quarantine.
 """
 
 import logging
@@ -19,15 +19,18 @@ from typing import NamedTuple, Self
 
 from drivers.errors import RecordingError
 from drivers.files.bundle_file import read_header
+from drivers.files.durable import replacing
 from drivers.files.recording import read_bundle
 from drivers.interfaces import FrameLossReason
 from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
-from service.processing.quarantine import Quarantine
+from service.base.status import Checks, trouble_check
 
 log = logging.getLogger(__name__)
 
 MAX_DEATHS = 3
 """Daemons that may end over a bundle; systemd starts the fifth one at most."""
+MAX_BUNDLES = 20
+"""Files in quarantine, 21 MB each; the first ones, as a cause that comes again and again looks alike."""
 PREFIX = "left-"
 JOB = "job-"
 """Before a bundle's name in the name of its job's folder, which a worker creates when it begins."""
@@ -39,6 +42,37 @@ LEFT_BACKGROUND = PREFIX + "{}-background"
 
 OpenTrigger = tuple[int, str]
 """A trigger without an outcome: its session, and the name of its bundle."""
+
+
+class Quarantine:
+    """A folder on the store's disk of bundles that no worker survived; people find the cause and delete them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def keep(self, path: Path, session: int, name: str) -> None:
+        """Copy a bundle's file; a full disk, or folder, is logged and not raised. Called on a thread."""
+        kept = self.folder / f"{session}-{name}.tiff"
+        if len(self.bundles()) >= MAX_BUNDLES:
+            log.error("bundle not kept, %d are in quarantine folder=%s", MAX_BUNDLES, self.folder)
+            return
+        try:
+            self.folder.mkdir(exist_ok=True)
+            with replacing(kept) as unfinished:
+                shutil.copyfile(path, unfinished)
+        except OSError as err:
+            log.error("bundle not kept: %s file=%s", err, kept)
+        else:
+            log.error("bundle in quarantine file=%s", kept)
+
+    def bundles(self) -> list[str]:
+        """Return the names of the files, `<session>-<bundle>.tiff`, that are there now."""
+        return sorted(path.name for path in self.folder.glob("*.tiff"))
+
+    def checks(self) -> Checks:
+        bundles = self.bundles()
+        trouble = f"no worker survived {', '.join(bundles)}" if bundles else None
+        return {"quarantine": trouble_check(trouble, len(bundles), "bundles")}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

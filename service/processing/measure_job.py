@@ -36,7 +36,7 @@ from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
 from pipeline.view_mapper import ViewMapper
 from pipeline.views import consistency
 from service.base.errors import WorkerFailure
-from service.processing.background_files import read_background, write_background
+from service.processing.backgrounds import read_background, write_background
 from service.processing.segmenters import CLASSICAL, SegmenterPlan, build_segmenter, warm_up
 from service.processing.worker_process import WarmUp, keep_freed_memory, worker_boundary
 from service.results.fields import Result

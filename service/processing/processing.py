@@ -1,6 +1,6 @@
 """Process bundles from the spool to the store: on any worker, committed strictly in the order of the triggers.
 
-Every job names the version of the background that it needs (`background_versions`), and the calibration in use when
+Every job names the version of the background that it needs (`backgrounds`), and the calibration in use when
 its bundle's turn began, so a result does not depend on the number of workers. A bundle that an earlier session left is
 measured with the newest background that its session had learnt.
 Every trigger that leaves the spool gets exactly one outcome here.
@@ -17,9 +17,8 @@ from typing import Any, Protocol
 
 from drivers.errors import RecordingError
 from pipeline.frames import BundleKind, CameraId
-from service.processing.background_files import KeptBackground
-from service.processing.background_versions import BackgroundVersions, LearntBackground, complete
-from service.processing.left_bundles import job_folder
+from service.processing.backgrounds import BackgroundVersions, KeptBackground, LearntBackground, complete
+from service.processing.left_bundles import Quarantine, job_folder
 from service.processing.measure_job import (
     RESULT_FILES,
     LearnJob,
@@ -29,7 +28,6 @@ from service.processing.measure_job import (
     learn_background,
     measure,
 )
-from service.processing.quarantine import Quarantine
 from service.processing.spool import Loss, SpooledBundle
 from service.processing.worker_pool import JobLostError, JobPool
 from service.results.fields import LossReason, Result, Verified

@@ -33,7 +33,7 @@ from pipeline.synthesis.stones import stone
 from pipeline.views.prepared import prepare_views
 from service.base.errors import UsageError
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
-from service.processing.background_files import write_background
+from service.processing.backgrounds import write_background
 from service.processing.measure_job import (
     RESULT_FILES,
     MeasureJob,

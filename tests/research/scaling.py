@@ -28,7 +28,7 @@ from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import stone
 from pipeline.views.prepared import prepare_views
 from research.performance import FORM, measured, worker_context
-from service.processing.background_files import write_background
+from service.processing.backgrounds import write_background
 from service.processing.measure_job import (
     MeasureJob,
     RigFile,

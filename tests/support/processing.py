@@ -11,9 +11,9 @@ from support.outcomes import measured
 from pipeline.frames import BundleKind, CameraId, Trigger
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.drop_jobs import DropCollector, ObserveJob
+from service.processing.left_bundles import Quarantine
 from service.processing.measure_job import LearnJob, MeasuredBundle, MeasureJob, RigFile
 from service.processing.processing import Processing, ProcessingContext, ProcessingObserver
-from service.processing.quarantine import Quarantine
 from service.processing.spool import Loss, SpooledBundle
 from service.results.fields import Result, Verified
 from service.results.record import document_of

@@ -23,7 +23,7 @@ from service.calibration.drop_files import ObservedDrop, read_drop, write_drop
 from service.calibration.drop_jobs import ObserveJob, Solved, SolveJob, observe, solve
 from service.calibration.states import Method
 from service.processing import measure_job
-from service.processing.background_files import write_background
+from service.processing.backgrounds import write_background
 from service.processing.measure_job import MeasureJob, RigFile, Worker, WorkerContext, WorkerFailure
 from service.processing.segmenters import build_segmenter
 

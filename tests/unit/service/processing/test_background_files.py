@@ -20,7 +20,7 @@ from pipeline.segmentation.optics import observe_optics
 from pipeline.segmentation.segmenter_choice import ChoosingSegmenter, warm_up
 from pipeline.segmentation.silhouette import ViewStatus
 from pipeline.segmentation.subtraction import BackgroundSegmenter
-from service.processing.background_files import DERIVED, read_background, write_background
+from service.processing.backgrounds import DERIVED, read_background, write_background
 
 SHAPES = st.tuples(st.integers(1, 40), st.integers(1, 40))
 CLEAN = np.array([[1, 2], [3, 4]], np.float32)

@@ -6,8 +6,8 @@ import pytest
 
 from pipeline.frames import CameraId
 from pipeline.segmentation.background import CameraBackground
-from service.processing import background_files
-from service.processing.background_files import KeptBackground, read_background, write_background
+from service.processing import backgrounds
+from service.processing.backgrounds import KeptBackground, read_background, write_background
 
 SIZES = {CameraId("c01"): (5, 4)}
 OTHER_SIZES = {CameraId("c01"): (5, 6)}
@@ -59,7 +59,7 @@ def test_another_rig_starts_without_and_replaces_it(tmp_path: Path, store: Path)
 def test_it_is_not_written_with_every_exposure(tmp_path: Path, store: Path, monkeypatch: pytest.MonkeyPatch):
     kept = KeptBackground(store, SIZES, RIG)
     for grey, every_s, expected in ((200, 600.0, 200), (150, 600.0, 200), (100, 0.0, 100)):
-        monkeypatch.setattr(background_files, "KEEP_EVERY_S", every_s)
+        monkeypatch.setattr(backgrounds, "KEEP_EVERY_S", every_s)
         kept.keep(background(tmp_path / f"{grey}", grey))
         restored = KeptBackground(store, SIZES, RIG).restore(tmp_path / "restored")
         assert restored is not None

@@ -9,8 +9,15 @@ from drivers.files.bundle_file import overwrite_bundle
 from drivers.files.recording import read_bundle
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 from service.base.status import trouble_check
-from service.processing.left_bundles import MAX_DEATHS, LeftBundle, bundles_in, job_folder, take_over
-from service.processing.quarantine import MAX_BUNDLES, Quarantine
+from service.processing.left_bundles import (
+    MAX_BUNDLES,
+    MAX_DEATHS,
+    LeftBundle,
+    Quarantine,
+    bundles_in,
+    job_folder,
+    take_over,
+)
 
 CAMERAS = (CameraId("c01"), CameraId("c02"))
 

@@ -10,7 +10,7 @@ from drivers.files.bundle_file import write_bundle
 from drivers.files.rig_file import write_rig
 from pipeline.particle import BodyParameters, PipelineParameters
 from service.processing import measure_job
-from service.processing.background_files import write_background
+from service.processing.backgrounds import write_background
 from service.processing.measure_job import MESH, MeasureJob, RigFile, Worker, WorkerContext, measure
 from service.processing.segmenters import CLASSICAL, build_segmenter
 from service.results.refinement import RUSH
