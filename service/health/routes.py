@@ -11,10 +11,9 @@ from service.base.language import Language
 from service.base.schema import adds_to
 from service.base.status import CheckStatus, HealthCheck, Ne107
 from service.health.alarms.alarm import ANNOUNCED, Alarm, AlarmState
-from service.health.alarms.alarms import Alarms
+from service.health.alarms.alarms import Alarms, history
 from service.health.alarms.machine import MAX_SHELVED_S
 from service.health.alarms.rules import Rules
-from service.health.alarms.table import history
 from service.results.version import ALGORITHM_VERSION
 from service.web.auth import OPERABLE, READABLE, Who
 from service.web.context import Context

@@ -24,7 +24,7 @@ from drivers.files.times import utc_now
 from service.base.redaction import scrubbed, scrubbed_document
 from service.calibration.files import CalibrationFiles
 from service.daemon.diagnostics.inputs import Inputs
-from service.health.alarms.table import history
+from service.health.alarms.alarms import history
 from service.host.host import Host
 from service.host.machine import check_host
 from service.results.version import ALGORITHM_VERSION

@@ -1,11 +1,15 @@
 """The alarms of the daemon: the states in memory, each change in the store and among the events."""
 
+import json
+import logging
+import sqlite3
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
 
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
@@ -13,11 +17,13 @@ from service.base.status import HealthCheck
 from service.health.alarms.alarm import Alarm, AlarmState
 from service.health.alarms.machine import MAX_SHELVED_S, AlarmMachine, Change
 from service.health.alarms.rules import load_rules
-from service.health.alarms.table import keep, unended
 from service.store import Store, audit
 from service.store.event_log import EventLog, Write
 from service.store.events import NewEvent
 
+log = logging.getLogger(__name__)
+
+ALARM = TypeAdapter(Alarm)
 WRITTEN_S = 5.0
 """Longest wait of a request for the disk; what was asked for holds all the same, and is written later."""
 
@@ -92,7 +98,7 @@ class Alarms:
     def _note(self, change: Change, noted: Write | None = None) -> None:
         alarm = change.alarm
 
-        def write(connection: Any) -> None:
+        def write(connection: sqlite3.Connection) -> None:
             keep(connection, alarm)
             if noted is not None:
                 noted(connection)
@@ -105,3 +111,40 @@ class Alarms:
 def _audited(before: Alarm | None, after: Alarm, who: str, action: str) -> Write:
     facts = None if before is None else asdict(before)
     return partial(audit.note, who=who, action=action, subject=after.check, before=facts, after=asdict(after))
+
+
+def keep(connection: sqlite3.Connection, alarm: Alarm) -> None:
+    """Write an alarm as it is now, within a transaction."""
+    # an end that was given up while the store was held
+    connection.execute(
+        "UPDATE alarms SET ended_at = ? WHERE subject = ? AND alarm < ? AND ended_at IS NULL",
+        (alarm.changed_at, alarm.check, alarm.id),
+    )
+    connection.execute(
+        "INSERT INTO alarms (alarm, subject, state, ended_at, document) VALUES (?, ?, ?, ?, ?) ON CONFLICT (alarm)"
+        " DO UPDATE SET state = excluded.state, ended_at = excluded.ended_at, document = excluded.document",
+        (alarm.id, alarm.check, alarm.state, alarm.ended_at, json.dumps(asdict(alarm))),
+    )
+
+
+def unended(connection: sqlite3.Connection) -> tuple[list[Alarm], int]:
+    """Return the alarms that have not ended, and the number of the next one; those that cannot be read are left out."""
+    (newest,) = connection.execute("SELECT coalesce(max(alarm), 0) FROM alarms").fetchone()
+    alarms = []
+    for number, document in connection.execute(
+        "SELECT alarm, document FROM alarms WHERE ended_at IS NULL ORDER BY alarm"
+    ):
+        try:
+            alarms.append(ALARM.validate_json(document))
+        except ValidationError as err:  # `keep` ends it when its check is an alarm again
+            log.error("an alarm cannot be read alarm=%d: %s", number, err)
+    return alarms, newest + 1
+
+
+def history(connection: sqlite3.Connection, check: str | None, before: int, limit: int) -> list[Alarm]:
+    """Return up to `limit` alarms before a number, of one check or of all, newest first."""
+    rows = connection.execute(
+        "SELECT document FROM alarms WHERE alarm < ? AND (? IS NULL OR subject = ?) ORDER BY alarm DESC LIMIT ?",
+        (before, check, check, limit),
+    ).fetchall()
+    return [ALARM.validate_json(document) for (document,) in rows]
