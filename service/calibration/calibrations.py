@@ -34,7 +34,7 @@ from service.calibration.drop_files import (
     keep_drop,
     outline_paths,
 )
-from service.calibration.drop_jobs import DropCollector, Solved, SolveJob, Solver, solve_apart
+from service.calibration.drops import DropCollector, Solved, SolveJob, Solver, solve_apart
 from service.calibration.files import Activation, CalibrationRecord, CalibrationSummary, image_sizes_px
 from service.calibration.startup import CalibrationsAtStart
 from service.calibration.states import (

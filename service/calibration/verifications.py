@@ -21,7 +21,7 @@ from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
 from service.base.schema import ANSWER, REQUEST, Name, Remark, Time
 from service.calibration.drop_files import ObservedDrop
-from service.calibration.drop_jobs import DropCollector
+from service.calibration.drops import DropCollector
 from service.calibration.files import CALIBRATION_NAME, read_document, write_document
 from service.calibration.states import DiameterMm
 from service.calibration.verification_limits import (
@@ -111,49 +111,39 @@ class VerificationRequest:
     """Who verifies."""
 
 
-def open_verifications(
-    folder: Path,
-    parameters: VerificationParameters,
-    on_ended: Callable[[Verification], None] = lambda _: None,
-) -> "Verifications":
-    """Read all verifications, and cancel one that was open when the daemon ended; blocks.
-
-    `on_ended` is told each that ends, on whichever thread.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    known = {}
-    for path in sorted(folder.glob("*.json")):
-        if not CALIBRATION_NAME.fullmatch(path.stem):
-            continue
-        try:
-            verification = read_document(path, Verification)
-        except RecordingError as err:
-            log.error("verification %s is not used: %s", path.stem, err)
-            continue
-        if verification.state is COLLECTING:
-            verification = _cancelled(verification, "the daemon was restarted")
-            write_document(path, verification)
-            on_ended(verification)
-        known[verification.id] = verification
-    return Verifications(folder, known, parameters, on_ended)
-
-
 class Verifications:
-    """All verifications; made by `open_verifications`. Call it on the event loop."""
+    """All verifications. Call it on the event loop, but make it on a thread: that reads their files."""
 
     def __init__(
         self,
         folder: Path,
-        known: dict[str, Verification],
         parameters: VerificationParameters,
-        on_ended: Callable[[Verification], None],
+        on_ended: Callable[[Verification], None] = lambda _: None,
     ) -> None:
+        """Read all verifications, and cancel one that was open when the daemon ended.
+
+        `on_ended` is told each that ends, on whichever thread.
+        """
         self._folder = folder
-        self._known = known
+        self._known: dict[str, Verification] = {}
         self.parameters = parameters
         self._on_ended = on_ended
         self._writing = asyncio.Lock()
         self._last_ball_s = time.monotonic()
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in sorted(folder.glob("*.json")):
+            if not CALIBRATION_NAME.fullmatch(path.stem):
+                continue
+            try:
+                verification = read_document(path, Verification)
+            except RecordingError as err:
+                log.error("verification %s is not used: %s", path.stem, err)
+                continue
+            if verification.state is COLLECTING:
+                verification = _cancelled(verification, "the daemon was restarted")
+                write_document(path, verification)
+                on_ended(verification)
+            self._known[verification.id] = verification
 
     def use(self, parameters: VerificationParameters) -> None:
         """Judge by other parameters from now on."""

@@ -13,7 +13,7 @@ from pipeline.rig.cameras import RigCalibration
 from service.acquisition.acquisition import Acquisition, AcquisitionParameters
 from service.calibration.calibrations import Calibrations
 from service.calibration.files import Activation, image_sizes_px
-from service.calibration.verifications import Verification, open_verifications
+from service.calibration.verifications import Verification, Verifications
 from service.configuration.segmentation_settings import plan_segmenter
 from service.daemon.alarming import acquisition_changed, verification_ended
 from service.daemon.heartbeats import Heartbeats, Watched
@@ -165,7 +165,7 @@ async def _open_calibrations(session: Session, rig_watch: RigWatch, recordings: 
         loop.call_soon_threadsafe(session.events.note, verification_ended(verification))
 
     verifications = await asyncio.to_thread(
-        open_verifications, settings.store.dir / "verifications", settings.verification, on_ended
+        Verifications, settings.store.dir / "verifications", settings.verification, on_ended
     )
     return Calibrations(session.calibrations, verifications, on_activated=on_activated)
 

@@ -15,13 +15,12 @@ from pipeline.rig.cameras import RigCalibration
 from service.base.status import AcquisitionState
 from service.calibration.calibrations import Calibrations
 from service.calibration.drop_files import ObservedDrop, SeenCircle
-from service.calibration.drop_jobs import Solved, SolveJob
-from service.calibration.drops import refusal_of
+from service.calibration.drops import Solved, SolveJob, refusal_of
 from service.calibration.files import Activation
 from service.calibration.startup import load_calibrations
 from service.calibration.states import CalibrationAction, CalibrationRequest, CalibrationState
 from service.calibration.verification_limits import VerificationParameters
-from service.calibration.verifications import open_verifications
+from service.calibration.verifications import Verifications
 
 CONFIGURED = small_rig()
 ARMED = AcquisitionState.ARMED
@@ -62,7 +61,7 @@ def open_desk(
 ) -> Calibrations:
     """Open the calibrations of a folder as the daemon does when it starts."""
     found = load_calibrations(folder / "calibrations", configured)
-    verifications = open_verifications(folder / "verifications", parameters or VerificationParameters())
+    verifications = Verifications(folder / "verifications", parameters or VerificationParameters())
 
     async def nothing(rig: RigCalibration, activation: Activation) -> None:
         pass

@@ -10,7 +10,7 @@ from support.outcomes import measured
 
 from pipeline.frames import BundleKind, CameraId, Trigger
 from service.calibration.drop_files import ObservedDrop
-from service.calibration.drop_jobs import DropCollector, ObserveJob
+from service.calibration.drops import DropCollector, ObserveJob
 from service.processing.left_bundles import Quarantine
 from service.processing.measure_job import LearnJob, MeasuredBundle, MeasureJob, RigFile
 from service.processing.processing import Processing, ProcessingContext, ProcessingObserver

@@ -20,7 +20,7 @@ from pipeline.particle import PipelineParameters
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from service.calibration.drop_files import ObservedDrop, read_drop, write_drop
-from service.calibration.drop_jobs import ObserveJob, Solved, SolveJob, observe, solve
+from service.calibration.drops import ObserveJob, Solved, SolveJob, observe, solve
 from service.calibration.states import Method
 from service.processing import measure_job
 from service.processing.backgrounds import write_background

@@ -17,7 +17,6 @@ from service.calibration.verifications import (
     VerificationRequest,
     Verifications,
     VerificationState,
-    open_verifications,
 )
 from service.results.fields import Result, Verified
 
@@ -25,7 +24,7 @@ PLAN = VerificationRequest(diameter_mm=15.0, count=3)
 
 
 def opened(folder: Path, **parameters: float) -> Verifications:
-    return open_verifications(folder, VerificationParameters(**parameters))
+    return Verifications(folder, VerificationParameters(**parameters))
 
 
 def record(diameter_mm: float | None, calibration_id: str = "rig") -> Result:
@@ -184,7 +183,7 @@ async def test_each_end_is_told_once(tmp_path: Path):
     def on_ended(verification: Verification) -> None:
         ended.append((verification.id, verification.state))
 
-    desk = open_verifications(tmp_path, VerificationParameters(), on_ended)
+    desk = Verifications(tmp_path, VerificationParameters(), on_ended)
     passed = await desk.start(PLAN, "rig")
     await let_fall(desk, [15.02, 15.04])
     assert ended == []
@@ -194,7 +193,7 @@ async def test_each_end_is_told_once(tmp_path: Path):
     await desk.cancel(cancelled.id, "on request")
     await desk.void(passed.id, "another ball")
     await desk.start(PLAN, "rig")
-    open_verifications(tmp_path, VerificationParameters(), on_ended)
+    Verifications(tmp_path, VerificationParameters(), on_ended)
     assert ended == [
         ("0001", VerificationState.PASSED),
         ("0002", VerificationState.CANCELLED),

@@ -12,7 +12,7 @@ from support.processing import Bench, Desk, ScriptedPool, turn
 from drivers.errors import RecordingError
 from pipeline.frames import BundleKind
 from service.calibration.drop_files import ObservedDrop
-from service.calibration.drop_jobs import DropCollector
+from service.calibration.drops import DropCollector
 from service.processing.backgrounds import N_AWAITED, N_BESIDE
 from service.processing.left_bundles import LeftBundle
 from service.processing.measure_job import LearnJob, MeasureJob, RigFile
