@@ -219,7 +219,7 @@ async def start_verification(
     control = context.control
     verification = await control.part(Calibrations).verify(wanted, control.acquisition_status().state)
     await context.store.note_change(
-        asking, "verification begun", verification.id, after=_without_balls(verification)
+        asking, "verification begun", verification.id, after=_audited(verification)
     )
     response.headers["Location"] = f"{BASE}/verifications/{verification.id}"
     return verification
@@ -267,11 +267,7 @@ async def cancel_verification(context: Context, verification: VerificationName, 
     before = existing(known.find(verification), "verification", verification)
     after = existing(await known.cancel(verification, "cancelled on request"), "verification", verification)
     await context.store.note_change(
-        asking,
-        "verification cancelled",
-        verification,
-        before=_without_balls(before),
-        after=_without_balls(after),
+        asking, "verification cancelled", verification, before=_audited(before), after=_audited(after)
     )
     return after
 
@@ -285,16 +281,12 @@ async def void_verification(
     before = existing(known.find(verification), "verification", verification)
     after = existing(await known.void(verification, wanted.reason), "verification", verification)
     await context.store.note_change(
-        asking,
-        "verification voided",
-        verification,
-        before=_without_balls(before),
-        after=_without_balls(after),
+        asking, "verification voided", verification, before=_audited(before), after=_audited(after)
     )
     return after
 
 
-def _without_balls(verification: Verification) -> dict[str, Any]:
+def _audited(verification: Verification) -> dict[str, Any]:
     """Return the facts about a verification that the audit keeps: all but its balls."""
     return {name: value for name, value in asdict(verification).items() if name != "balls"}
 

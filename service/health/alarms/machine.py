@@ -59,11 +59,6 @@ class _Watched:
         if now_s - self.since_s >= delay_s:
             self.is_active = is_bad
 
-    @property
-    def is_parent(self) -> bool:
-        """Whether it suppresses its children."""
-        return self.is_bad or self.is_active
-
 
 class AlarmMachine:
     """All alarms that have not ended. Time is an argument: `now_s` is monotonic, `at` the same as RFC 3339."""
@@ -172,7 +167,7 @@ class AlarmMachine:
         own = watched.priority
         for name in watched.rule.parents:
             parent = self._watched.get(name)
-            if parent is not None and parent.is_parent:
+            if parent is not None and (parent.is_bad or parent.is_active):
                 known = self._alarms.get(name)
                 priority = parent.priority or (None if known is None else known.priority)
                 if own is None or priority is None or priority.rank <= own.rank:
