@@ -20,7 +20,7 @@ class Severity(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class CameraFinding:
     """Something that should be cleaned, adjusted or replaced, or a camera that contradicts its calibration."""
 
     cameras: tuple[
@@ -31,7 +31,7 @@ class Finding:
     score_px: float = 0.0  # of geometry: how far outlines are from where they should be
 
 
-def described(findings: Collection[Finding], n_cameras: int) -> str | None:
+def described(findings: Collection[CameraFinding], n_cameras: int) -> str | None:
     """Return the findings in one line, each after its cameras, None when there are none."""
     names = (", ".join(each.cameras) if 2 * len(each.cameras) <= n_cameras else "" for each in findings)
     return (
@@ -40,7 +40,7 @@ def described(findings: Collection[Finding], n_cameras: int) -> str | None:
     )
 
 
-def camera_ne107(camera: CameraStatus, findings: Collection[Finding]) -> Ne107:
+def camera_ne107(camera: CameraStatus, findings: Collection[CameraFinding]) -> Ne107:
     """Return the word of a camera, by what is said of this camera alone."""
     own = [finding for finding in findings if camera.id in finding.cameras]
     return _word(camera.state, own, needs_attention=bool(camera.warnings))
@@ -51,14 +51,16 @@ def gate_ne107(rig: AcquisitionStatus) -> Ne107:
     return _word(rig.gate, needs_attention=bool(rig.gate_warnings))
 
 
-def rig_ne107(findings: Collection[Finding], calibration: CalibrationFacts) -> Ne107:
+def rig_ne107(findings: Collection[CameraFinding], calibration: CalibrationFacts) -> Ne107:
     """Return the word of the rig: whether its geometry and optics are as calibrated."""
     if calibration.trouble is not None:
         return Ne107.OUT_OF_SPECIFICATION
     return _word(DeviceState.ARMED if calibration.at_work is None else DeviceState.CLOSED, findings)
 
 
-def _word(state: DeviceState, findings: Collection[Finding] = (), *, needs_attention: bool = False) -> Ne107:
+def _word(
+    state: DeviceState, findings: Collection[CameraFinding] = (), *, needs_attention: bool = False
+) -> Ne107:
     if state is DeviceState.LOST:
         return Ne107.FAILURE
     if any(finding.severity is Severity.OUT_OF_SPECIFICATION for finding in findings):

@@ -18,7 +18,7 @@ from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.base.status import CameraOptics, Checks, trouble_check
 from service.health.dark_panels import DarkPlace, ViewLight, dark_places
-from service.health.findings import Finding, Severity, described
+from service.health.findings import CameraFinding, Severity, described
 from service.results.fields import Result
 
 WINDOW = 20
@@ -152,14 +152,14 @@ class OpticalWatch:
         """Return the optics of every camera of the rig."""
         return {name: camera.optics for name, camera in self._cameras.items()}
 
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[CameraFinding, ...]:
         """Return the findings that need an operator, worst first."""
         found = self._light_findings()
         for limit in DETAILS:
             found += self._limit_findings(limit)
         return tuple(sorted(found, key=lambda finding: -finding.severity))
 
-    def _limit_findings(self, limit: str) -> list[Finding]:
+    def _limit_findings(self, limit: str) -> list[CameraFinding]:
         """Return one finding for each camera beyond a limit, or one for all if most are: the cause is common then."""
         values = {
             name: camera.limited_figures()[limit]
@@ -169,7 +169,7 @@ class OpticalWatch:
         worst_first = sorted(values, key=lambda name: -values[name])
         groups = [worst_first] if self._are_most(values) else [[name] for name in worst_first]
         return [
-            Finding(
+            CameraFinding(
                 cameras=tuple(group),
                 severity=max(self._cameras[name].severity(limit) for name in group),
                 detail=self._cameras[group[0]].detail(limit),
@@ -177,7 +177,7 @@ class OpticalWatch:
             for group in groups
         ]
 
-    def _light_findings(self) -> list[Finding]:
+    def _light_findings(self) -> list[CameraFinding]:
         """Return where the light has changed: everywhere, on a part of the wall, or for single cameras."""
         changed = {
             name: severity
@@ -189,17 +189,17 @@ class OpticalWatch:
         }
         if self._are_most(changed):
             detail = f"the light {self._describe_change(lights, changed)}: look at the strobes' supply"
-            return [Finding(cameras=tuple(changed), severity=max(changed.values()), detail=detail)]
+            return [CameraFinding(cameras=tuple(changed), severity=max(changed.values()), detail=detail)]
         found = []
         for place in dark_places(self._rig, lights):
             alarmed = [changed.pop(name) for name in place.cameras if name in changed]
             if alarmed:
                 found.append(
-                    Finding(cameras=place.cameras, severity=max(alarmed), detail=_describe_place(place))
+                    CameraFinding(cameras=place.cameras, severity=max(alarmed), detail=_describe_place(place))
                 )
         for name, severity in changed.items():
             detail = f"its light {self._describe_change(lights, [name])}: look at its gain and flash"
-            found.append(Finding(cameras=(name,), severity=severity, detail=detail))
+            found.append(CameraFinding(cameras=(name,), severity=severity, detail=detail))
         return found
 
     def _describe_change(self, lights: Mapping[CameraId, ViewLight], cameras: Collection[CameraId]) -> str:

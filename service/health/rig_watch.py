@@ -20,7 +20,7 @@ from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.views.epipolar_tangency import ALARM_PX
 from service.base.status import Checks, trouble_check
-from service.health.findings import Finding, Severity, described
+from service.health.findings import CameraFinding, Severity, described
 from service.results.fields import Result
 
 WINDOW = 20
@@ -155,10 +155,10 @@ class RigWatch:
         worst_px = round(max(scores_px), 2) if scores_px else None
         return {"rig": trouble_check(described(findings, len(self._cameras)), worst_px, "px")}
 
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[CameraFinding, ...]:
         """Return the cameras that contradict their calibration, worst first, for operators."""
         displaced = [
-            Finding(
+            CameraFinding(
                 cameras=(name,),
                 score_px=score_px,
                 severity=Severity.OUT_OF_SPECIFICATION if camera.is_dropped else Severity.MAINTENANCE,
@@ -171,7 +171,7 @@ class RigWatch:
         if 2 * len(displaced) > len(self._cameras):
             displaced = [_in_common(displaced, len(self._cameras))]
         differing = [
-            Finding(
+            CameraFinding(
                 cameras=(name,),
                 score_px=camera.residual.recent_median or 0.0,
                 severity=Severity.MAINTENANCE,
@@ -221,10 +221,10 @@ def _describe_displacement(camera: _Camera, score_px: float, speed_mm_s: float) 
     )
 
 
-def _in_common(displaced: Sequence[Finding], n_cameras: int) -> Finding:
+def _in_common(displaced: Sequence[CameraFinding], n_cameras: int) -> CameraFinding:
     """Return one finding for most cameras: what they have in common is more likely the cause than each of them."""
     score_px = median(finding.score_px for finding in displaced)
-    return Finding(
+    return CameraFinding(
         cameras=(),
         score_px=score_px,
         severity=max(finding.severity for finding in displaced),

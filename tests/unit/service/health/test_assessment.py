@@ -29,7 +29,7 @@ from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import clock_check, loop_check
 from service.health.alarms.rules import load_rules
 from service.health.assessment import assess
-from service.health.findings import Finding, Severity, rig_ne107
+from service.health.findings import CameraFinding, Severity, rig_ne107
 from service.health.optical_watch import OpticalParameters, OpticalWatch
 from service.health.refinement_watch import RefinementTrend, RefinementWatch
 from service.health.rig_watch import CameraScore, RigWatch
@@ -304,7 +304,9 @@ def test_what_a_camera_warns_of_is_maintenance():
 def test_a_camera_that_moved_is_named_with_the_remedy(
     severity: Severity, state: Ne107, monkeypatch: pytest.MonkeyPatch
 ):
-    moved = Finding(cameras=(CameraId("c05"),), score_px=0.8, severity=severity, detail="moved: recalibrate")
+    moved = CameraFinding(
+        cameras=(CameraId("c05"),), score_px=0.8, severity=severity, detail="moved: recalibrate"
+    )
     watch = RigWatch(RIG)
     monkeypatch.setattr(watch, "findings", lambda: (moved,))
     health = assessed(watch.checks(), rig_ne107=rig_ne107((moved,), CALIBRATED))
@@ -333,14 +335,14 @@ def test_dirty_windows_ask_for_maintenance_before_results_suffer(
     severity: Severity, state: Ne107, monkeypatch: pytest.MonkeyPatch
 ):
     c05, everywhere = CameraId("c05"), tuple(camera.id for camera in cameras())
-    dusty = Finding(cameras=(c05,), severity=severity, detail="clean window and lens")
+    dusty = CameraFinding(cameras=(c05,), severity=severity, detail="clean window and lens")
     watch = OpticalWatch(RIG, OpticalParameters())
     monkeypatch.setattr(watch, "findings", lambda: (dusty,))
     health = assessed(watch.checks(), rig_ne107=rig_ne107((dusty,), CALIBRATED))
     assert (health.ne107, health.ready) == (state, True)
     assert health.reasons == ("optics: c05: clean window and lens",)
     assert health.checks["optics"].observed_value == 15
-    weak = Finding(cameras=everywhere, severity=severity, detail="look at the strobes' supply")
+    weak = CameraFinding(cameras=everywhere, severity=severity, detail="look at the strobes' supply")
     monkeypatch.setattr(watch, "findings", lambda: (weak,))
     assert watch.checks()["optics"].detail == "all: look at the strobes' supply"
 

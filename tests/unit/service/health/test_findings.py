@@ -4,14 +4,14 @@ import pytest
 
 from pipeline.frames import CameraId
 from service.base.status import AcquisitionState, AcquisitionStatus, CalibrationFacts, CameraStatus, Ne107
-from service.health.findings import Finding, Severity, camera_ne107, described, gate_ne107, rig_ne107
+from service.health.findings import CameraFinding, Severity, camera_ne107, described, gate_ne107, rig_ne107
 
 C01 = CameraId("c01")
 C02 = CameraId("c02")
-MOVED = Finding(cameras=(C01,), severity=Severity.MAINTENANCE, detail="moved", score_px=0.8)
-DARK = Finding(cameras=(C01,), severity=Severity.OUT_OF_SPECIFICATION, detail="clean")
-OTHER = Finding(cameras=(C02,), severity=Severity.OUT_OF_SPECIFICATION, detail="moved", score_px=2.0)
-COMMON = Finding(cameras=(), severity=Severity.OUT_OF_SPECIFICATION, detail="focus", score_px=2.0)
+MOVED = CameraFinding(cameras=(C01,), severity=Severity.MAINTENANCE, detail="moved", score_px=0.8)
+DARK = CameraFinding(cameras=(C01,), severity=Severity.OUT_OF_SPECIFICATION, detail="clean")
+OTHER = CameraFinding(cameras=(C02,), severity=Severity.OUT_OF_SPECIFICATION, detail="moved", score_px=2.0)
+COMMON = CameraFinding(cameras=(), severity=Severity.OUT_OF_SPECIFICATION, detail="focus", score_px=2.0)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_the_word_of_the_rig_is_that_of_geometry_and_optics():
 
 
 def test_findings_are_told_with_their_cameras_or_as_those_of_all():
-    both = Finding(cameras=(C01, C02), severity=Severity.MAINTENANCE, detail="dust")
+    both = CameraFinding(cameras=(C01, C02), severity=Severity.MAINTENANCE, detail="dust")
     assert described((MOVED, COMMON, both), n_cameras=3) == "c01: moved; all: focus; all: dust"
     assert described((both,), n_cameras=4) == "c01, c02: dust"
     assert described((), n_cameras=3) is None

@@ -11,7 +11,7 @@ from pipeline.frames import CameraId
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.disturbance import Disturbance, dimmed_sector
 from service.health.dark_panels import ViewLight, dark_places
-from service.health.findings import Finding, Severity
+from service.health.findings import CameraFinding, Severity
 from service.health.optical_watch import (
     MIN_EXPOSURES,
     WINDOW,
@@ -49,7 +49,7 @@ def after(*exposures: dict[str, dict[str, Any]]) -> OpticalWatch:
     return watch
 
 
-def the_finding(watch: OpticalWatch) -> Finding:
+def the_finding(watch: OpticalWatch) -> CameraFinding:
     (finding,) = watch.findings()
     return finding
 

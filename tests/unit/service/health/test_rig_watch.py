@@ -12,7 +12,7 @@ from support.outlines import seen_by, stone_outlines, stone_points, watch_record
 from pipeline.frames import CameraId
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.view_optics import ViewOptics
-from service.health.findings import Finding, Severity
+from service.health.findings import CameraFinding, Severity
 from service.health.rig_watch import MIN_STONES, REMEDY, WINDOW, RigWatch
 from service.results.fields import Result
 
@@ -47,7 +47,7 @@ def fed(*records: Result) -> RigWatch:
     return watch
 
 
-def the_finding(watch: RigWatch) -> Finding:
+def the_finding(watch: RigWatch) -> CameraFinding:
     (finding,) = watch.findings()
     return finding
 
