@@ -23,9 +23,8 @@ class Severity(IntEnum):
 class CameraFinding:
     """Something that should be cleaned, adjusted or replaced, or a camera that contradicts its calibration."""
 
-    cameras: tuple[
-        CameraId, ...
-    ]  # that see it, worst first; none: what most have in common, of no camera alone
+    cameras: tuple[CameraId, ...]
+    """Cameras that see it, worst first; none: most have it in common, and it is of no camera alone."""
     severity: Severity
     detail: str  # what it is, how much, and the remedy
     score_px: float = 0.0  # of geometry: how far outlines are from where they should be
