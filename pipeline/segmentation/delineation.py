@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import FloatImage, GreyImage, Indices, PointsUV
+from pipeline.arrays import FloatImage, GreyImage, PointsUV
 from pipeline.frames import Frame
 from pipeline.segmentation.edge_refinement import (
     N_COLUMNS,
@@ -107,7 +107,7 @@ def delineate(
     if not is_inside or _is_noise(labels):
         return Delineation(labels=labels, edge=None)
     contours = _trace(region, labels, levels, hole_px)
-    sigma_px, widest_px = outline_sigmas_px(region, *contours.outer)
+    sigma_px, widest_px = outline_sigmas_px(region, *_outer(contours))
     n_doubtful, is_blurred = 0, sigma_px > MAX_SHARP_SIGMA_PX
     if not is_blurred:
         n_doubtful = _place_edge(region, labels, contours, min_contrast, is_blurred)
@@ -116,7 +116,7 @@ def delineate(
         )
     across_px = None
     if is_blurred:  # the edge reaches into the core: its level is not the body's
-        across_px = sigmas_across_px(region, *contours.outer)
+        across_px = sigmas_across_px(region, *_outer(contours))
         region = region._replace(trimap=_with_deeper_core(trimap, widest_px))
         labels, levels, _ = threshold(region, min_contrast)
         contours = _trace(region, labels, levels, hole_px)
@@ -127,11 +127,12 @@ def delineate(
         # what became unknown belongs to the body, whose edge is then further out
         contours = _trace(region, labels, levels, hole_px)
         n_doubtful = _place_edge(region, labels, contours, min_contrast, is_blurred)
-    points_uv, seen = contours.outer
+    points_uv, seen = _outer(contours)
     if 0 < np.count_nonzero(seen) < len(seen) and bridge_gaps(labels, points_uv, seen):
         contours = _trace(region, labels, levels, hole_px)
         _place_edge(region, labels, contours, min_contrast, is_blurred)
-    body, points_uv, seen, ends = contours.body, contours.points_uv, contours.seen, contours.ends
+    body, points_uv, ends = contours.body, contours.points_uv, contours.ends
+    seen = contours.seen.view(np.uint8)
     if is_blurred:
         body = redraw(points_uv, ends, labels)
         points_uv, seen, ends = closed_up(points_uv, seen, ends)
@@ -143,29 +144,19 @@ def delineate(
     return Delineation(labels=labels, edge=edge, edge_sigma_px=sigma_px or None, sigmas_across_px=across_px)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Contours:
-    """The contours of a body, the outer one first, as in `SubpixelEdge`; points and flags are moved in place."""
-
-    body: GreyImage
-    points_uv: PointsUV
-    ends: Indices
-    seen: GreyImage
-
-    @property
-    def outer(self) -> tuple[PointsUV, GreyImage]:
-        """Points of the outer contour, and whether each is seen."""
-        return self.points_uv[: self.ends[1]], self.seen[: self.ends[1]]
-
-
-def _trace(region: RegionLevels, labels: GreyImage, levels: FloatImage, hole_px: int) -> _Contours:
+def _trace(region: RegionLevels, labels: GreyImage, levels: FloatImage, hole_px: int) -> SubpixelEdge:
     """Return the contours of the largest body in `labels` (h, w), their points half-way between the local levels."""
     body, contours = _largest_with_holes_filled(labels, hole_px)
     pixels_uv = (contours[0] if len(contours) == 1 else np.concatenate(contours))[:, 0]
     ends = np.array([0, *accumulate(map(len, contours))])
     points_uv, seen = np.empty(pixels_uv.shape), np.empty(len(pixels_uv), np.uint8)
     find_crossings(region, levels, body, labels, pixels_uv, points_uv, seen)
-    return _Contours(body=body, points_uv=points_uv, ends=ends, seen=seen)
+    return SubpixelEdge(body=body, points_uv=points_uv, ends=ends, seen=seen.view(np.bool_))
+
+
+def _outer(contours: SubpixelEdge) -> tuple[PointsUV, GreyImage]:
+    """Return the points of the outer contour, and whether each is seen: views, which can be changed in place."""
+    return contours.points_uv[: contours.ends[1]], contours.seen[: contours.ends[1]].view(np.uint8)
 
 
 def _with_deeper_core(trimap: GreyImage, sigma_px: float) -> GreyImage:
@@ -177,13 +168,13 @@ def _with_deeper_core(trimap: GreyImage, sigma_px: float) -> GreyImage:
 
 
 def _place_edge(
-    region: RegionLevels, labels: GreyImage, contours: _Contours, min_contrast: float, is_blurred: bool
+    region: RegionLevels, labels: GreyImage, contours: SubpixelEdge, min_contrast: float, is_blurred: bool
 ) -> int:
     """Move all points to where the edge is steepest; return how many turn out not to lie on the body's.
 
     A blurred edge is looked at in units of its width, twice, since half-way between the levels is further off there.
     """
-    points_uv, seen = contours.points_uv, contours.seen
+    points_uv, seen = contours.points_uv, contours.seen.view(np.uint8)
     scales = np.ones(len(points_uv), np.float32)
     scratch = np.empty((len(points_uv), N_COLUMNS), np.float32)
     n_doubtful = 0
