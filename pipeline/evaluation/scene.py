@@ -14,6 +14,7 @@ from pipeline.rig.design import as_built, nominal_rig
 from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.background import learn_background
 from pipeline.segmentation.subtraction import BackgroundSegmenter
+from pipeline.synthesis.background import WallKind
 from pipeline.synthesis.bodies import ball
 from pipeline.synthesis.bundles import render_bundle, render_empty, stream
 from pipeline.synthesis.exposure import ExposureParameters
@@ -45,11 +46,14 @@ class EvaluationScene:
 
 
 def build_scene(
-    seed: int, design: RigCalibration | None = None, exposure: ExposureParameters | None = None
+    seed: int,
+    design: RigCalibration | None = None,
+    exposure: ExposureParameters | None = None,
+    wall_kind: WallKind = WallKind.PANELS,
 ) -> EvaluationScene:
     """Build the nominal rig, or another design, with the deviations of `as_built`, and learn its background."""
     rig = as_built(design or nominal_rig(), seed)
-    simulated = simulate_rig(rig, stream(seed, HOUSING), exposure)
+    simulated = simulate_rig(rig, stream(seed, HOUSING), exposure, wall_kind)
     background: BackgroundModel = {}
     for number in range(N_EMPTY):
         empty = render_empty(simulated, stream(seed, EMPTY, number), sequence=number + 1)

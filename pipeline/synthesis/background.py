@@ -8,6 +8,7 @@ geometry puts it. In the nominal rig no aperture or hole is in a field of view.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from pipeline.arrays import Directions, FloatImage, Floats, PointsUV, Values
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.synthesis.thin_lens import ThinLens, disc_kernel
+from pipeline.synthesis.wall_spots import Spots, many_spots, scattered_directions, spots_at
 
 APERTURE_RADIUS_MM = 12.0
 HOLE_RADIUS_MM = 40.0
@@ -25,12 +27,23 @@ SEAM_SOFTNESS_MM = 0.5
 SEAM_DEPTH = 0.18
 WALL_GREY = 205.0
 """Grey level of the plain wall at the nominal flash."""
+DULL_WALL_GREY = 185.0
+"""The same of the walls that are not of panels: with the lens's corners, 150 to 190."""
 N_DOTS = 210  # about two in a field of view
 DOT_RADIUS_MM = (1.2, 2.8)  # 12 to 29 px at the far side of the wall
 DEFOCUS_PX = 8.0
 """Standard deviation of the far wall's blur at about F8, focused on the centre, where no lens is given."""
 COARSE_PX = 4
 """Pixel step on which the wall is computed: it is blurred over more than that."""
+
+
+class WallKind(StrEnum):
+    """Look of the wall; apertures and holes are in each."""
+
+    PANELS = "panels"  # seams, and about two small dark dots in a field of view
+    BARE = "bare"  # nothing but apertures and holes
+    SPOTTED = "spotted"  # about ten soft spots of 0.3 to 0.75 of its grey in a field of view, and seams
+    ONE_SPOT = "one spot"  # bare, but for one spot behind the middle of each view
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,6 +55,9 @@ class Wall:
     disc_radii_mm: Values
     disc_reflectances: Values  # relative to the wall
     panel_reflectances: Floats  # (parallels, meridians)
+    seam_depth: float = SEAM_DEPTH
+    spots: Spots | None = None
+    grey: float = WALL_GREY  # where it is plain, at the nominal flash
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,15 +68,16 @@ class EmptyView:
     gain: float  # of this camera and its light; scales bodies as well
 
 
-def build_wall(rig: RigCalibration, rng: np.random.Generator) -> Wall:
-    """Return a wall with random dots and panels, and the apertures of the rig's cameras."""
-    dots = _scattered_directions(N_DOTS, rng)
+def build_wall(rig: RigCalibration, rng: np.random.Generator, kind: WallKind = WallKind.PANELS) -> Wall:
+    """Return a wall with random dots or spots and panels, and the apertures of the rig's cameras."""
+    dots = scattered_directions(N_DOTS if kind is WallKind.PANELS else 0, rng)
     apertures = np.array([camera.center_mm for camera in rig.cameras])
     poles = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     distances_mm = np.linalg.norm(apertures, axis=1)
     n_panels = round(180 / SEAM_SPACING_DEG)
+    radius_mm = float(distances_mm.mean())
     return Wall(
-        radius_mm=float(distances_mm.mean()),
+        radius_mm=radius_mm,
         disc_directions=np.concatenate([dots, apertures / distances_mm[:, None], poles]),
         disc_radii_mm=np.concatenate(
             [
@@ -77,7 +94,19 @@ def build_wall(rig: RigCalibration, rng: np.random.Generator) -> Wall:
             ]
         ),
         panel_reflectances=rng.normal(1.0, 0.012, size=(n_panels, 2 * n_panels)),
+        seam_depth=SEAM_DEPTH if kind in (WallKind.PANELS, WallKind.SPOTTED) else 0.0,
+        spots=_spots(kind, rig, radius_mm, rng),
+        grey=WALL_GREY if kind is WallKind.PANELS else DULL_WALL_GREY,
     )
+
+
+def _spots(kind: WallKind, rig: RigCalibration, radius_mm: float, rng: np.random.Generator) -> Spots | None:
+    if kind is WallKind.SPOTTED:
+        return many_spots(radius_mm, rng)
+    if kind is WallKind.ONE_SPOT:
+        middles = [wall_directions(camera, camera.K[:2, 2][None, :], radius_mm)[0] for camera in rig.cameras]
+        return spots_at(np.array(middles))
+    return None
 
 
 def render_backgrounds(
@@ -111,7 +140,7 @@ def _render_background(
     y = np.linspace(-1, 1, height)[:, None]
     tilt_x, tilt_y = rng.normal(0, 0.03, size=2)
     vignetting = rng.uniform(0.04, 0.08)
-    light = WALL_GREY * gain * (1 + tilt_x * x + tilt_y * y - vignetting * (x**2 + y**2))
+    light = wall.grey * gain * (1 + tilt_x * x + tilt_y * y - vignetting * (x**2 + y**2))
     radiance = np.asarray(fine * light, dtype=np.float32)
     radiance.setflags(write=False)
     return EmptyView(radiance=radiance, gain=gain)
@@ -150,7 +179,7 @@ def _reflectance(directions: Directions, wall: Wall) -> Values:
     )
     # a soft border of a cell's size, so that the coarse grid does not show as steps
     depth = np.clip((SEAM_WIDTH_MM / 2 - to_seam_mm) / SEAM_SOFTNESS_MM + 0.5, 0, 1)
-    result = result * (1 - SEAM_DEPTH * depth)
+    result = result * (1 - wall.seam_depth * depth)
     middle = directions.mean(axis=0)
     middle /= np.linalg.norm(middle)
     field = np.arccos((directions @ middle).min())
@@ -159,13 +188,6 @@ def _reflectance(directions: Directions, wall: Wall) -> Values:
     for i in np.flatnonzero(in_field):
         is_on_disc = directions @ wall.disc_directions[i] > np.cos(disc_angles[i])
         result[is_on_disc] = wall.disc_reflectances[i]
+    if wall.spots is not None:
+        result = result * wall.spots.shares_at(directions, wall.radius_mm)
     return np.asarray(result)
-
-
-def _scattered_directions(count: int, rng: np.random.Generator) -> Directions:
-    """Return directions (count, 3) spread evenly (a Fibonacci spiral) and displaced by half their spacing."""
-    index = np.arange(count) + 0.5
-    z, azimuth = 1 - 2 * index / count, np.pi * (1 + np.sqrt(5)) * index
-    spiral = np.column_stack([np.sqrt(1 - z**2) * np.cos(azimuth), np.sqrt(1 - z**2) * np.sin(azimuth), z])
-    shaken = spiral + rng.normal(0, 0.5 * np.sqrt(4 * np.pi / count) / 2, size=(count, 3))
-    return np.asarray(shaken / np.linalg.norm(shaken, axis=1, keepdims=True))

@@ -27,6 +27,16 @@ class SurfaceKind(StrEnum):
     GRANITE = "granite"  # crystals of three minerals
     BANDED = "banded"  # folded light and dark bands, as gneiss
     PLAIN = "plain"  # even, without any texture
+    # as photographs of rock: finer than the faces, of a 1/f spectrum (`rock_textures.py`)
+    GRAINED = "grained"  # granite: three minerals, grains of 0.1 to 1 mm
+    GNEISS = "gneiss"  # light and dark bands of all widths
+    VEINED = "veined"  # dark, with bright veins
+    CONGLOMERATE = "conglomerate"  # pebbles of 2 to 6 mm in a fine matrix
+    BRECCIA = "breccia"  # pale fragments of 2 to 6 mm, all of one grey, in a dark matrix
+    LIMESTONE = "limestone"  # as bright as the wall, hardly any contrast
+    BASALT = "basalt"  # nearly black
+    HALVES = "halves"  # one half black, one pale
+    DUSTY = "dusty"  # granite, partly under pale dust
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

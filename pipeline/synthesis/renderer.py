@@ -15,13 +15,14 @@ from pipeline.arrays import Directions, FloatImage, Indices, Matrix33, PointsMM,
 from pipeline.frames import CameraId, Image
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.synthesis import pixel_coverage, shading
-from pipeline.synthesis.background import EmptyView, build_wall, render_backgrounds
+from pipeline.synthesis.background import WALL_GREY, EmptyView, WallKind, build_wall, render_backgrounds
 from pipeline.synthesis.bodies import Body, SurfaceKind
 from pipeline.synthesis.defocused_coverage import defocused_coverage
 from pipeline.synthesis.disturbance import UNDISTURBED, Disturbance
 from pipeline.synthesis.exposure import ExposureParameters, blur_kernel, blurred, expose
 from pipeline.synthesis.pixel_coverage import Window
 from pipeline.synthesis.rock_patterns import rock_pattern
+from pipeline.synthesis.rock_textures import SPECTRUM_TRUE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,15 +46,20 @@ class RenderedRig:
     rig: RigCalibration
     backgrounds: Mapping[CameraId, EmptyView]
     parameters: ExposureParameters = field(default_factory=ExposureParameters)
+    wall_grey: float = WALL_GREY  # of the plain wall, which wet bodies mirror
 
 
 def simulate_rig(
-    rig: RigCalibration, rng: np.random.Generator, parameters: ExposureParameters | None = None
+    rig: RigCalibration,
+    rng: np.random.Generator,
+    parameters: ExposureParameters | None = None,
+    wall_kind: WallKind = WallKind.PANELS,
 ) -> RenderedRig:
     """Return a rig in a random housing."""
     parameters = parameters or ExposureParameters()
-    backgrounds = render_backgrounds(rig, build_wall(rig, rng), rng, parameters.lens)
-    return RenderedRig(rig=rig, backgrounds=backgrounds, parameters=parameters)
+    wall = build_wall(rig, rng, wall_kind)
+    backgrounds = render_backgrounds(rig, wall, rng, parameters.lens)
+    return RenderedRig(rig=rig, backgrounds=backgrounds, parameters=parameters, wall_grey=wall.grey)
 
 
 def photograph(
@@ -97,9 +103,9 @@ def illuminate(placed: PlacedBody, rng: np.random.Generator) -> LitSurface:
     if body.surface is SurfaceKind.MOTTLED and not body.is_interreflecting:
         light = shading.irradiance(mesh, scene, rng)
     else:
-        light = shading.even_irradiance(mesh, scene)
+        light = shading.even_irradiance(mesh, scene, subdivisions=_light_subdivisions(body))
     if body.is_interreflecting:
-        light = shading.even_irradiance(mesh, scene, greys * light)
+        light = shading.even_irradiance(mesh, scene, greys * light, _light_subdivisions(body))
     face_radiance = greys * light
     return LitSurface(
         mesh=mesh,
@@ -111,20 +117,34 @@ def illuminate(placed: PlacedBody, rng: np.random.Generator) -> LitSurface:
         gloss=body.gloss,
         is_interreflecting=body.is_interreflecting,
         # drawn for wet bodies only: the images of known seeds depend on all that is drawn
-        lamps=shading.lamps(rng) if body.gloss > 0 else np.empty((0, 3)),
+        lamps=shading.lamps(rng) if _mirrors_lamps(body) else np.empty((0, 3)),
     )
 
 
+def _mirrors_lamps(body: Body) -> bool:
+    """True for wet bodies, but for rock: its film of water mirrors the even wall alone."""
+    return body.gloss > 0 and body.surface not in SPECTRUM_TRUE
+
+
+def _light_subdivisions(body: Body) -> int:
+    """Return the subdivisions of the directions of light; fine meshes get along with fewer directions."""
+    return shading.DIRECTION_SUBDIVISIONS - (body.surface in SPECTRUM_TRUE)
+
+
 def _grain(placed: PlacedBody, face_radiance: Values, rng: np.random.Generator) -> shading.Grain | None:
-    pattern, contrast = rock_pattern(placed.body, rng), placed.body.contrast
+    body = placed.body
+    pattern = rock_pattern(body, rng)
     if pattern is None:
         return None
+    limits, step_px = shading.RELATIVE_GREYS, shading.STEP_PX
+    if body.surface in SPECTRUM_TRUE:
+        limits, step_px = shading.PHOTOGRAPHED_GREYS, 1
 
     def grain(faces: Indices, points_mm: PointsMM) -> Values:
-        relative = 1 + contrast * pattern((points_mm - placed.offset_mm) @ placed.R)
-        return np.asarray(face_radiance[faces] * (np.clip(relative, *shading.RELATIVE_GREYS) - 1))
+        relative = 1 + body.contrast * pattern((points_mm - placed.offset_mm) @ placed.R)
+        return np.asarray(face_radiance[faces] * (np.clip(relative, *limits) - 1))
 
-    return grain
+    return shading.Grain(grain, step_px)
 
 
 def _flash(sd: float, rng: np.random.Generator) -> float:
@@ -181,7 +201,8 @@ def view_of(
         parameters = replace(parameters, read_noise=disturbance.read_noise)
     ordered = sorted(surfaces, key=lambda s: -float(camera.project(s.center_mm)[1][0]))
     layers = (
-        _layer(surface, camera, background.gain, disturbance.body_light, parameters) for surface in ordered
+        _layer(surface, camera, background.gain, disturbance.body_light, parameters, simulated.wall_grey)
+        for surface in ordered
     )
     return View(
         wall=background.radiance * disturbance.wall_light,
@@ -198,6 +219,7 @@ def _layer(
     gain: float,
     light: FloatImage | float,
     parameters: ExposureParameters,
+    wall_grey: float,
 ) -> Layer | None:
     """Return the layer of a body in an image, `None` if it is out of view."""
     fall_mm = np.array([[0, 0, -parameters.fall_speed_mm_s * parameters.exposure_us * 1e-6]])
@@ -232,6 +254,7 @@ def _layer(
             surface.lamps,
             camera,
             surface.face_radiance if surface.is_interreflecting else None,
+            wall_grey,
         )
     face_disc_px = None if lens is None else disc_px[surface.mesh.faces].mean(axis=1)
     shown = shading.surface_image(

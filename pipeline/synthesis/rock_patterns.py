@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.arrays import PointsMM, Values
 from pipeline.synthesis.bodies import Body, SurfaceKind
+from pipeline.synthesis.rock_textures import SPECTRUM_TRUE, rock_texture
 from pipeline.synthesis.stones import wave_noise
 
 Pattern = Callable[[PointsMM], Values]
@@ -38,6 +39,8 @@ def rock_pattern(body: Body, rng: np.random.Generator) -> Pattern | None:
             return _crystals(np.full(3, body.radius_mm), rng)
         case SurfaceKind.BANDED:
             return _bands(body.radius_mm, rng)
+        case surface if surface in SPECTRUM_TRUE:
+            return rock_texture(surface, body.radius_mm, rng)
         case _:
             return None
 

@@ -7,6 +7,7 @@ other if that is asked for, by light that they reflect once.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -26,6 +27,8 @@ from pipeline.synthesis.thin_lens import disc_kernel
 TEXTURE_WAVELENGTHS_MM = (8.0, 3.0, 1.2)
 RELATIVE_GREYS = (0.4, 1.7)
 """Limits of a texture, relative to the mean grey."""
+PHOTOGRAPHED_GREYS = (0.05, 4.0)
+"""Limits of the textures of `rock_textures.py`."""
 DOME_GRADIENT = 0.3
 """Share by which the dome is brighter above than at its horizon, and darker below."""
 RAYS_PER_FACE = 12
@@ -40,9 +43,18 @@ LAMP_LEVEL = 40.0
 """Radiance of a lamp relative to the wall's."""
 STEP_PX = 2
 """Pixel step on which texture is looked up; the lens blurs over more than that."""
+CONTINUED_PX = 6.0
+"""Standard deviation of the mean that continues the surface beyond its outline."""
 
-Grain = Callable[[Indices, PointsMM], Values]
-"""Radiance (N,) that a texture finer than the faces adds at points (N, 3), each on a face (N,)."""
+
+@dataclass(frozen=True, slots=True)
+class Grain:
+    """A texture finer than the faces."""
+
+    radiance: Callable[[Indices, PointsMM], Values]
+    """Radiance (N,) that it adds at points (N, 3), each on a face (N,)."""
+    step_px: int = STEP_PX
+    """Pixel step on which it is looked up."""
 
 
 def embree_scene(mesh: trimesh.Trimesh) -> EmbreeScene:
@@ -80,15 +92,21 @@ def irradiance(mesh: trimesh.Trimesh, scene: EmbreeScene, rng: np.random.Generat
     return np.asarray(received.reshape(-1, RAYS_PER_FACE).mean(axis=1))
 
 
-def even_irradiance(mesh: trimesh.Trimesh, scene: EmbreeScene, face_radiance: Values | float = 0.0) -> Values:
+def even_irradiance(
+    mesh: trimesh.Trimesh,
+    scene: EmbreeScene,
+    face_radiance: Values | float = 0.0,
+    subdivisions: int = DIRECTION_SUBDIVISIONS,
+) -> Values:
     """Return the light (F,) as `irradiance` does, from the same directions for all faces: without any noise of its own.
 
-    What occludes the dome sends the radiance of its faces (F,) instead, in grey levels.
+    What occludes the dome sends the radiance of its faces (F,) instead, in grey levels. The directions are the
+    vertices of an icosahedron subdivided so often.
     """
     radiance = np.broadcast_to(face_radiance, len(mesh.faces)) / WALL_GREY
     origins_mm = mesh.triangles_center + 1e-3 * mesh.face_normals
     received, weights = np.zeros((2, len(mesh.faces)))
-    for direction in icosphere(DIRECTION_SUBDIVISIONS)[0]:
+    for direction in icosphere(subdivisions)[0]:
         cosines = mesh.face_normals @ direction
         lit = np.flatnonzero(cosines > 0)
         rays = np.tile(direction.astype(np.float32), (len(lit), 1))
@@ -110,6 +128,7 @@ def reflection(
     lamps: Directions,
     camera: CameraCalibration,
     face_radiance: Values | None = None,
+    wall_grey: float = WALL_GREY,
 ) -> Values:
     """Return the radiance (F,) that wet faces mirror to the camera, all of the wall's at grazing angles (Schlick 1994).
 
@@ -121,7 +140,7 @@ def reflection(
     mirrored = 2 * cosines[:, None] * mesh.face_normals - toward_camera
     lobes = np.exp(LAMP_SHARPNESS * (mirrored @ lamps.T - 1)).sum(axis=1)
     reflectance = NORMAL_REFLECTANCE + (1 - NORMAL_REFLECTANCE) * (1 - cosines) ** 5
-    mirrored_radiance = WALL_GREY * (1 + LAMP_LEVEL * lobes)
+    mirrored_radiance = wall_grey * (1 + LAMP_LEVEL * lobes)
     if face_radiance is not None:
         origins_mm = mesh.triangles_center + 1e-3 * mesh.face_normals
         hits = scene.run(origins_mm.astype(np.float32), mirrored.astype(np.float32))
@@ -143,20 +162,22 @@ def surface_image(
     Each face (F,) is blurred by its disc, where their diameters are given. `grain` adds to what the faces radiate,
     and the camera's gain multiplies both.
     """
-    u = window.left + (np.arange(-(-window.width // STEP_PX)) + 0.5) * STEP_PX - 0.5
-    v = window.top + (np.arange(-(-window.height // STEP_PX)) + 0.5) * STEP_PX - 0.5
+    step_px = STEP_PX if grain is None else grain.step_px
+    u = window.left + (np.arange(-(-window.width // step_px)) + 0.5) * step_px - 0.5
+    v = window.top + (np.arange(-(-window.height // step_px)) + 0.5) * step_px - 0.5
     grid_uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     rays = camera.rays(grid_uv).astype(np.float32)
     origins = np.broadcast_to(camera.center_mm.astype(np.float32), rays.shape)
     hits = scene.run(np.ascontiguousarray(origins), rays, output=True)
     faces = hits["primID"].reshape(len(v), len(u))
     is_hit = (faces >= 0).astype(np.float32)
-    near = cv2.GaussianBlur(is_hit, (0, 0), 3.0)
+    sigma = CONTINUED_PX / step_px
+    near = cv2.GaussianBlur(is_hit, (0, 0), sigma)
 
     def on_grid(face_values: Values) -> FloatImage:
         values = np.where(faces >= 0, face_values[faces], 0).astype(np.float32)
         # beyond the outline: the mean of the surface nearby, so that edge pixels show its grey
-        smooth = cv2.GaussianBlur(values, (0, 0), 3.0)
+        smooth = cv2.GaussianBlur(values, (0, 0), sigma)
         mean = float(face_values.mean())
         continued = (smooth + 1e-4 * mean) / (near + 1e-4)
         return np.where(faces >= 0, values, continued).astype(np.float32)
@@ -165,10 +186,10 @@ def surface_image(
     if grain is not None:
         hit = np.flatnonzero(faces >= 0)
         points_mm = camera.center_mm + hits["tfar"][hit, None] * rays[hit]
-        radiance.flat[hit] += gain * grain(faces.flat[hit], points_mm)
+        radiance.flat[hit] += gain * grain.radiance(faces.flat[hit], points_mm)
     if face_disc_px is not None:
-        radiance = _blurred_by_own_disc(radiance, on_grid(face_disc_px / STEP_PX))
-    fine = cv2.resize(radiance, (len(u) * STEP_PX, len(v) * STEP_PX), interpolation=cv2.INTER_LINEAR)
+        radiance = _blurred_by_own_disc(radiance, on_grid(face_disc_px / step_px))
+    fine = cv2.resize(radiance, (len(u) * step_px, len(v) * step_px), interpolation=cv2.INTER_LINEAR)
     return np.asarray(fine[: window.height, : window.width])
 
 

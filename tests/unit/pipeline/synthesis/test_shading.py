@@ -81,7 +81,9 @@ def test_crystals_turn_and_move_with_the_body() -> None:
     for placed in (upright(granite), PlacedBody(body=granite, R=R, offset_mm=offset_mm)):
         lit = illuminate(placed, np.random.default_rng(1))
         assert lit.grain is not None
-        relative.append(lit.grain(faces, lit.mesh.triangles_center[faces]) / lit.face_radiance[faces])
+        relative.append(
+            lit.grain.radiance(faces, lit.mesh.triangles_center[faces]) / lit.face_radiance[faces]
+        )
     assert np.std(relative[0]) > 0.1
     np.testing.assert_allclose(*relative, atol=1e-6)
 
