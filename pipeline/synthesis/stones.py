@@ -89,17 +89,17 @@ def stone(form_name: str, size_mm: float, rng: np.random.Generator) -> Body:
     width = rng.uniform(*form.width_to_length)
     axes = np.array([1.0, width, width * rng.uniform(*form.thickness_to_width)])
 
-    radii = _polytope_radii(directions, form, rng)
+    radii = polytope_radii(directions, form, rng)
     radii *= _dents(directions, form.dent_depth, rng)
     radii *= 1 + _roughness(directions * axes, form.roughness, rng)
 
     points = radii[:, None] * directions * axes
-    points *= size_mm / _greatest_distance(points)
+    points *= size_mm / greatest_distance(points)
     body = body_from_mesh(form_name, trimesh.Trimesh(points, sphere.faces, process=False))
     return replace(body, grey=rng.uniform(45, 80), contrast=rng.uniform(0.12, 0.25))
 
 
-def _greatest_distance(points: Floats) -> float:
+def greatest_distance(points: Floats) -> float:
     """Return the greatest distance between any two of points (N, 3) around the origin."""
     radii = np.linalg.norm(points, axis=1)
     at_least = np.linalg.norm(points - points[np.argmax(radii)], axis=1).max()
@@ -112,15 +112,15 @@ def random_size_mm(rng: np.random.Generator) -> float:
     return float(rng.uniform(low, high))
 
 
-def _polytope_radii(directions: Directions, form: StoneForm, rng: np.random.Generator) -> Values:
-    normals = _unit_vectors(form.n_facets, rng)
+def polytope_radii(directions: Directions, form: StoneForm, rng: np.random.Generator) -> Values:
+    normals = unit_vectors(form.n_facets, rng)
     distances = rng.uniform(*form.facet_distance, size=form.n_facets)
     gauges = np.maximum(directions @ normals.T, 0) / distances  # (V, n_facets)
     return np.asarray((1 + (gauges**form.sharpness).sum(axis=1)) ** (-1 / form.sharpness))
 
 
 def _dents(directions: Directions, depth: float, rng: np.random.Generator) -> Values:
-    centers = _unit_vectors(N_DENTS, rng)
+    centers = unit_vectors(N_DENTS, rng)
     widths = rng.uniform(0.25, 0.5, size=N_DENTS)  # rad
     return np.asarray(1 - depth * np.exp(-(1 - directions @ centers.T) / (widths**2 / 2)).sum(axis=1))
 
@@ -135,11 +135,11 @@ def _roughness(points: Floats, rms: float, rng: np.random.Generator) -> Values:
 
 def wave_noise(points: Floats, wavelength: float, n_waves: int, rng: np.random.Generator) -> Values:
     """Return smooth noise (N,) of zero mean and unit variance at points (N, 3): a sum of random plane waves."""
-    waves = 2 * np.pi / wavelength * _unit_vectors(n_waves, rng)
+    waves = 2 * np.pi / wavelength * unit_vectors(n_waves, rng)
     phases = rng.uniform(0, 2 * np.pi, size=n_waves)
     return np.asarray(np.sqrt(2 / n_waves) * np.cos(points @ waves.T + phases).sum(axis=1))
 
 
-def _unit_vectors(count: int, rng: np.random.Generator) -> Directions:
+def unit_vectors(count: int, rng: np.random.Generator) -> Directions:
     vectors = rng.normal(size=(count, 3))
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
