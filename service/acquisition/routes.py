@@ -5,7 +5,7 @@ from typing import Any
 
 from fastapi import APIRouter
 from fastapi.responses import Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from drivers.errors import CameraUnavailableError
 from service.acquisition.pictures import (
@@ -15,6 +15,7 @@ from service.acquisition.pictures import (
     snapshot_png,
     subsampled,
 )
+from service.base.schema import RequestBody
 from service.base.status import AcquisitionStatus, AcquisitionTarget, CameraStatus
 from service.web.auth import OPERABLE, READABLE, Who
 from service.web.context import ApiContext, Context
@@ -28,10 +29,8 @@ class AcquisitionAnswer(AcquisitionStatus):
     """State of the rig; counters begin when it is armed."""
 
 
-class AcquisitionRequest(BaseModel):
+class AcquisitionRequest(RequestBody):
     """Request for a state of the rig."""
-
-    model_config = ConfigDict(extra="forbid")
 
     state: AcquisitionTarget = Field(description="`armed`: measure every stone; `disarmed`: ignore them")
 
@@ -71,10 +70,8 @@ class Cameras(BaseModel):
     items: list[CameraAnswer] = Field(description="By place in the rig")
 
 
-class IdentifyRequest(BaseModel):
+class IdentifyRequest(RequestBody):
     """Request to show which of the cameras this one is."""
-
-    model_config = ConfigDict(extra="forbid")
 
     seconds: float = Field(default=20, ge=1, le=60, strict=True, description="How long its lamp blinks")
 

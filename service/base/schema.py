@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
 from pydantic.config import JsonDict
 
 from pipeline.frames import rfc3339
@@ -19,6 +19,7 @@ ANSWER: ConfigDict = {**SCHEMA}  # type: ignore[typeddict-item]  # a plain dict,
 """`__pydantic_config__` of a dataclass that is served: docstrings describe its fields, and all are always there."""
 REQUEST = ConfigDict(use_attribute_docstrings=True, extra="forbid")
 """`__pydantic_config__` of a dataclass that is the body of a request."""
+
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 """A name or title that people give."""
 Remark = Annotated[str, Field(max_length=2000)]
@@ -28,6 +29,12 @@ LIVE = "applies without a restart"
 T = TypeVar("T")
 Live = Annotated[T, LIVE]
 """A setting that applies when the file is read again; others are built into devices, workers, store or sockets."""
+
+
+class RequestBody(BaseModel):
+    """Body of a request, in which other fields than its own are errors."""
+
+    model_config = ConfigDict(extra="forbid")
 
 
 def adds_to(base: type, config: ConfigDict = ANSWER) -> ConfigDict:

@@ -5,10 +5,10 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Response
 from fastapi.responses import FileResponse
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from pipeline.gradation.control_chart import control_chart
-from service.base.schema import TIME, Name
+from service.base.schema import TIME, Name, RequestBody
 from service.calibration.calibrations import Calibrations
 from service.calibration.drop_files import CalibrationDocument
 from service.calibration.files import Activation, CalibrationSummary
@@ -26,10 +26,8 @@ router = APIRouter(prefix="/calibrations", tags=["calibrations"])
 CalibrationName = Annotated[str, Path(pattern=r"^[0-9]{4,9}$", description="`id` of a calibration")]
 
 
-class Signature(BaseModel):
+class Signature(RequestBody):
     """The person who decides."""
-
-    model_config = ConfigDict(extra="forbid")
 
     by: Name | None = Field(default=None, description="Kept with the decision")
 
@@ -159,10 +157,8 @@ verifying = APIRouter(prefix="/verifications", tags=["verifications"])
 VerificationName = Annotated[str, Path(pattern=r"^[0-9]{4,9}$", description="`id` of a verification")]
 
 
-class VoidVerificationRequest(BaseModel):
+class VoidVerificationRequest(RequestBody):
     """Why a verdict counts no more."""
-
-    model_config = ConfigDict(extra="forbid")
 
     reason: Annotated[str, Field(min_length=1, max_length=2000)] = Field(
         description="Why the verdict counts no more; kept with the verification"

@@ -5,10 +5,10 @@ from importlib.metadata import version
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from service.base.language import Language
-from service.base.schema import adds_to
+from service.base.schema import RequestBody, adds_to
 from service.base.status import CheckStatus, HealthCheck, Ne107
 from service.health.alarms.alarm import ANNOUNCED, Alarm, AlarmState
 from service.health.alarms.alarms import Alarms, history
@@ -129,10 +129,8 @@ class AlarmHistory(BaseModel):
     next_before: int | None = Field(description="Pass as `before` for the next page; null on the last")
 
 
-class ShelveRequest(BaseModel):
+class ShelveRequest(RequestBody):
     """For how long an alarm is put aside, and why."""
-
-    model_config = ConfigDict(extra="forbid")
 
     minutes: Annotated[float, Field(gt=0, le=MAX_SHELVED_MINUTES, description="A day at most")]
     reason: Annotated[str, Field(min_length=1, max_length=2000, description="Why it can wait")]

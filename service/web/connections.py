@@ -7,13 +7,17 @@ nor the number of connections; and a process without free descriptors can open n
 import json
 import resource
 from asyncio import Transport
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import cache
 
 import h11
 from h11._receivebuffer import ReceiveBuffer
+from starlette.requests import Request
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from service.web.clients import host_of_client, origin_of
 from service.web.pace import give_up_turn
 from service.web.pieces import UNSENT
 from service.web.problems import RETRY_AFTER_S, Problem, problem_document
@@ -166,6 +170,38 @@ class Connection(H11Protocol):
         self._is_refused = True
         self.transport.write(_refusal(n_answered))
         self.transport.write_eof()
+
+
+class OpenStreams:
+    """Counts the streams of server-sent events by client: they last for days, and must leave room for others."""
+
+    def __init__(self) -> None:
+        self._open: Counter[str] = Counter()
+
+    def require_room(self, request: Request) -> None:
+        """Raise the problem 503 when a quarter of all connections are streams, or an address has too many of these.
+
+        An eighth of them is left to other addresses; all may have the same one behind a proxy.
+        """
+        most = max(1, max_connections() // 4)
+        n_own = self._open[origin_of(host_of_client(request))]
+        if self._open.total() >= most or n_own >= most - most // 8:
+            raise Problem(
+                503,
+                "too-many-connections",
+                f"{self._open.total()} streams are open already, {n_own} of these of your address",
+            )
+
+    @contextmanager
+    def one_more(self, request: Request) -> Iterator[None]:
+        """Count one stream within the block."""
+        address = origin_of(host_of_client(request))
+        self._open[address] += 1
+        try:
+            yield
+        finally:
+            self._open[address] -= 1
+            self._open = +self._open  # without addresses that have none
 
 
 def _oldest(connections: Iterable[Connection]) -> Connection:

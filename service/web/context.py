@@ -10,9 +10,9 @@ from service.base.errors import StoreError
 from service.store import Store
 from service.store.accounting import OutcomeCounts, outcome_counts
 from service.web.clients import KeyGuesses
+from service.web.connections import OpenStreams
 from service.web.control import Control
 from service.web.key_ring import KeyRing
-from service.web.open_streams import OpenStreams
 from service.web.pace import Pace
 from service.web.reader_process import Reading
 from service.web.sessions import Sessions

@@ -23,12 +23,9 @@ class ForeignPages:
         self._allowed = frozenset(name.lower() for name in settings.allowed_hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "http":
-            request = Request(scope)
-            if (problem := self._refusal(request)) is not None:
-                await problem_response(request, problem)(scope, receive, send)
-                return
-        await self._app(scope, receive, send)
+        request = Request(scope)
+        problem = self._refusal(request)
+        await (self._app if problem is None else problem_response(request, problem))(scope, receive, send)
 
     def _refusal(self, request: Request) -> Problem | None:
         netloc = request.headers.get("host")  # without one it is no browser
@@ -42,7 +39,8 @@ class ForeignPages:
             detail = f"a page of {origin!r} must not change anything here; programs send no Origin"
             return Problem(403, "foreign-origin", detail)
         media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-        if _has_body(request) and media_type != "application/json":
+        has_body = request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers
+        if has_body and media_type != "application/json":
             detail = f"Content-Type must be application/json, not {media_type!r}"
             return Problem(415, "unsupported-media-type", detail)
         return None
@@ -59,7 +57,3 @@ class ForeignPages:
         """True when a page is from the very host and port that it asks, or from a host that is configured."""
         _, _, page = origin.lower().partition("://")
         return page != "" and (page == (netloc or "").lower() or host_of(page) in self._allowed)
-
-
-def _has_body(request: Request) -> bool:
-    return request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers

@@ -33,16 +33,12 @@ async def takes_gzip(request: Request) -> bool:
 TakesGzip = Annotated[bool, Depends(takes_gzip)]
 
 
-class GzippedJson:
-    """ASGI middleware that compresses JSON of a few kB and more, unless it is compressed already."""
+def gzipping(app: ASGIApp, reading: Reading) -> ASGIApp:
+    """Compress the JSON of a few kB and more that `app` answers, unless it is compressed already."""
 
-    def __init__(self, app: ASGIApp, reading: Reading) -> None:
-        self._app = app
-        self._reading = reading
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http" or not accepts_gzip(Headers(scope=scope)):
-            await self._app(scope, receive, send)
+    async def compressing(scope: Scope, receive: Receive, send: Send) -> None:
+        if not accepts_gzip(Headers(scope=scope)):
+            await app(scope, receive, send)
             return
         start: Message | None = None
 
@@ -54,35 +50,36 @@ class GzippedJson:
                 await send(message)
             else:
                 first, start = start, None
-                body = b"" if message.get("more_body") else await self._compressed(message.get("body", b""))
+                body = (
+                    b"" if message.get("more_body") else await _compressed(message.get("body", b""), reading)
+                )
                 if body:
-                    _announce(first, len(body))
+                    headers = MutableHeaders(scope=first)
+                    headers["Content-Encoding"] = "gzip"
+                    headers["Content-Length"] = str(len(body))
+                    headers.add_vary_header("Accept-Encoding")
                     message = {**message, "body": body}
                 await send(first)
                 await send(message)
 
-        await self._app(scope, receive, send_compressed)
+        await app(scope, receive, send_compressed)
 
-    async def _compressed(self, body: bytes) -> bytes:
-        """Return the body compressed, empty if it is to be sent as it is."""
-        if is_gzipped(body):
-            return body
-        if len(body) < LEAST_BYTES:
-            return b""
-        if len(body) <= MAX_ON_LOOP_BYTES:
-            return gzip.compress(body, LEVEL, mtime=0)
-        try:
-            return await self._reading.run(gzip.compress, body, LEVEL)
-        except BusyError:
-            return b""
+    return compressing
+
+
+async def _compressed(body: bytes, reading: Reading) -> bytes:
+    """Return the body compressed, empty if it is to be sent as it is."""
+    if is_gzipped(body):
+        return body
+    if len(body) < LEAST_BYTES:
+        return b""
+    if len(body) <= MAX_ON_LOOP_BYTES:
+        return gzip.compress(body, LEVEL, mtime=0)
+    try:
+        return await reading.run(gzip.compress, body, LEVEL)
+    except BusyError:
+        return b""
 
 
 def _is_json(start: Message) -> bool:
     return JSON.match(Headers(raw=start["headers"]).get("content-type", "")) is not None
-
-
-def _announce(start: Message, n_bytes: int) -> None:
-    headers = MutableHeaders(scope=start)
-    headers["Content-Encoding"] = "gzip"
-    headers["Content-Length"] = str(n_bytes)
-    headers.add_vary_header("Accept-Encoding")

@@ -42,20 +42,16 @@ class AnsweredBeforeError(Exception):
         self.answer = answer
 
 
-class IdempotentPosts:
-    """ASGI middleware that keeps the answers to POSTs with an idempotency key."""
+def keeping_answers(app: ASGIApp, store: Store) -> ASGIApp:
+    """Keep the answers of `app` to POSTs with an idempotency key."""
+    under_way: dict[tuple[str, str], GuardedRequest] = {}
 
-    def __init__(self, app: ASGIApp, store: Store) -> None:
-        self._app = app
-        self._store = store
-        self._under_way: dict[tuple[str, str], GuardedRequest] = {}
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        key = Headers(scope=scope).get(HEADER) if scope["type"] == "http" else None
+    async def kept_answers(scope: Scope, receive: Receive, send: Send) -> None:
+        key = Headers(scope=scope).get(HEADER)
         if key is None or scope["method"] != "POST":
-            await self._app(scope, receive, send)
+            await app(scope, receive, send)
             return
-        attempt = GuardedRequest(self._store, self._under_way, key)
+        attempt = GuardedRequest(store, under_way, key)
         scope.setdefault("state", {})["attempt"] = attempt
         messages: list[Message] = []
 
@@ -63,13 +59,15 @@ class IdempotentPosts:
             messages.append(message)
 
         try:
-            await self._app(scope, receive, hold)
+            await app(scope, receive, hold)
             await attempt.keep(messages)
         except BaseException:
             attempt.end()
             raise
         for message in messages:
             await send(message)
+
+    return kept_answers
 
 
 class GuardedRequest:

@@ -1,14 +1,25 @@
 """Content negotiation by the `Accept` header (RFC 9110, section 12.5.1)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from typing import TypeVar
+
+from fastapi import Request
+
+from service.web.problems import Problem
+
+T = TypeVar("T")
 
 
-def best_match(accept: str | None, offers: Sequence[str]) -> int | None:
-    """Return the index of the offer that the `Accept` header prefers, the earlier among equals; None without one."""
-    ranges = dict(_media_range(part) for part in (accept or "*/*").split(",") if part.strip())
-    weights = [_weight(offer, ranges) for offer in offers]
-    best = max(weights)
-    return weights.index(best) if best > 0 else None
+def negotiated(request: Request, offers: Mapping[T, str], thing: str) -> T:
+    """Return the offer whose media type the `Accept` header prefers, the first among equals; raise the problem 406."""
+    accept = request.headers.get("accept") or "*/*"
+    ranges = dict(_media_range(part) for part in accept.split(",") if part.strip())
+    weights = {offer: _weight(media_type, ranges) for offer, media_type in offers.items()}
+    best = max(weights, key=weights.__getitem__)
+    if weights[best] > 0:
+        return best
+    detail = f"{thing} comes as {', '.join(offers.values())}"
+    raise Problem(406, "not-acceptable", detail, headers={"Vary": "Accept"})
 
 
 def _media_range(part: str) -> tuple[str, float]:

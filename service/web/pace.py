@@ -136,38 +136,27 @@ class Turns:
             waiting.set_result(turn)
 
 
-class PacedRequests:
-    """ASGI application around another one, in which each request begins when it is its turn."""
+def paced(app: ASGIApp, is_known: Callable[[Request], bool]) -> ASGIApp:
+    """Have each request to `app` begin when it is its turn; `is_known` says if it has a right key."""
+    turns = Turns()
 
-    def __init__(self, app: ASGIApp, is_known: Callable[[Request], bool]) -> None:
-        self._app = app
-        self._is_known = is_known
-        self._turns = Turns()
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        match await self._turn(scope):
-            case Turn.COME:
-                await self._app(scope, receive, send)
-            case Turn.REFUSED:
-                problem = Problem(503, "too-many-connections", f"{MAX_WAITING} requests wait already")
-                await problem_response(Request(scope), problem)(scope, receive, send)
-            case Turn.GONE:
-                pass
-
-    async def _turn(self, scope: Scope) -> Turn:
+    async def pacing(scope: Scope, receive: Receive, send: Send) -> None:
         request, state = Request(scope), scope.setdefault("state", {})
         if state.get(TURN) is Turn.GONE:
-            return Turn.GONE
-        client = origin_of(host_of_client(request))
-        is_known = self._is_known(request)
-        waiting = state[TURN] = self._turns.ask(client, is_known=is_known)
+            return
+        client, has_key = origin_of(host_of_client(request)), is_known(request)
+        waiting = state[TURN] = turns.ask(client, is_known=has_key)
         try:
-            return await waiting
+            turn = await waiting
         finally:
-            self._turns.leave(client, waiting, is_known=is_known)
+            turns.leave(client, waiting, is_known=has_key)
+        if turn is Turn.COME:
+            await app(scope, receive, send)
+        elif turn is Turn.REFUSED:
+            problem = Problem(503, "too-many-connections", f"{MAX_WAITING} requests wait already")
+            await problem_response(request, problem)(scope, receive, send)
+
+    return pacing
 
 
 def give_up_turn(state: MutableMapping[str, Any]) -> None:

@@ -11,13 +11,10 @@ UNSENT = "n_unsent"
 """Where the state of a request has the number of bytes that wait for their turn."""
 
 
-class Piecewise:
-    """ASGI middleware that divides large bodies of answers; the server waits between pieces for a slow reader."""
+def in_pieces(app: ASGIApp) -> ASGIApp:
+    """Divide large bodies of the answers of `app`; the server waits between pieces for a slow reader."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def divided(scope: Scope, receive: Receive, send: Send) -> None:
         state = scope.setdefault("state", {})
 
         async def send_pieces(message: Message) -> None:
@@ -29,4 +26,6 @@ class Piecewise:
             state[UNSENT] = 0
             await send({**message, "body": body[begin:]} if begin else message)
 
-        await self._app(scope, receive, send_pieces)
+        await app(scope, receive, send_pieces)
+
+    return divided

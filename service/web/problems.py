@@ -20,6 +20,11 @@ log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
+NAMED = (
+    *("alarm", "calibration", "camera", "consumer", "lot", "particle"),
+    *("product", "recording", "sample", "verification", "webhook"),
+)
+"""What requests name: each has a problem 404 of its own."""
 PROBLEMS: Mapping[int, Mapping[str, str]] = {
     HTTPStatus.BAD_REQUEST: {"bad-request": "Bad Request"},
     HTTPStatus.UNAUTHORIZED: {"unauthorized": "A valid key is needed"},
@@ -29,25 +34,13 @@ PROBLEMS: Mapping[int, Mapping[str, str]] = {
     },
     HTTPStatus.NOT_FOUND: {
         "not-kept": "This file was not kept",
-        "unknown-alarm": "No such alarm",
-        "unknown-calibration": "No such calibration",
-        "unknown-camera": "No such camera",
-        "unknown-consumer": "No such consumer",
-        "unknown-lot": "No such lot",
-        "unknown-particle": "No such particle",
-        "unknown-product": "No such product",
-        "unknown-recording": "No such recording",
-        "unknown-sample": "No such sample",
-        "unknown-verification": "No such verification",
-        "unknown-webhook": "No such webhook",
+        **{f"unknown-{kind}": f"No such {kind}" for kind in NAMED},
     },
     HTTPStatus.NOT_ACCEPTABLE: {"not-acceptable": "No acceptable media type"},
     HTTPStatus.CONFLICT: {
-        "request-in-progress": "The first request with this key is still being carried out",
+        "request-in-progress": "The first request with this key is still being carried out"
     },
-    HTTPStatus.GONE: {
-        "files-removed": "The files of this result were removed",
-    },
+    HTTPStatus.GONE: {"files-removed": "The files of this result were removed"},
     HTTPStatus.PRECONDITION_FAILED: {"precondition-failed": "It is not the version that If-Match names"},
     HTTPStatus.REQUEST_ENTITY_TOO_LARGE: {"content-too-large": "The request is too large"},
     HTTPStatus.UNSUPPORTED_MEDIA_TYPE: {"unsupported-media-type": "Not JSON"},

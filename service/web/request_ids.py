@@ -11,16 +11,10 @@ HEADER = "X-Request-Id"
 VALID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
 
 
-class RequestIds:
-    """ASGI middleware that gives each request an id, and each answer the id of its request."""
+def with_request_ids(app: ASGIApp) -> ASGIApp:
+    """Give each request to `app` an id, and each of its answers the id of its request."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
+    async def identified(scope: Scope, receive: Receive, send: Send) -> None:
         given = Headers(scope=scope).get(HEADER, "")
         request_id = given if VALID.fullmatch(given) else str(uuid.uuid4())
         scope.setdefault("state", {})["request_id"] = request_id
@@ -30,7 +24,9 @@ class RequestIds:
                 MutableHeaders(scope=message)[HEADER] = request_id
             await send(message)
 
-        await self._app(scope, receive, send_with_id)
+        await app(scope, receive, send_with_id)
+
+    return identified
 
 
 def request_id_of(request: Request) -> str:

@@ -26,7 +26,7 @@ from service.lots.products import ProductDefinition, save_product
 from service.store import Store
 from service.store.keys import create_key, revoke_key
 from service.store.schema import read
-from service.web import open_streams
+from service.web import connections
 from service.web.settings import Scope
 
 NOW = datetime.now(UTC).replace(hour=12)
@@ -292,7 +292,7 @@ async def test_streams_end_with_the_daemon_and_with_the_key(
 async def test_streams_leave_connections_to_everything_else(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(open_streams, "max_connections", lambda: 8)
+    monkeypatch.setattr(connections, "max_connections", lambda: 8)
     held = [await opened(served, "/overview/stream") for _ in range(2)]
     for stream in held:
         assert (await stream.head()).startswith("HTTP/1.1 200")

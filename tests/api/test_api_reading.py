@@ -15,9 +15,9 @@ from support.rest import FakeControl, ReadingThread, app_of, assert_problem, cli
 from support.worker_jobs import Stumble, stumble, wait_for
 
 from service.base.errors import StoreError
-from service.particles.feeds import RESULT_STREAM, RESULTS
 from service.particles.pages import feed_page
 from service.particles.renditions import NotKeptError, preview_png
+from service.particles.routes.results import RESULT_STREAM, RESULTS
 from service.store import Store, read
 from service.store.reads import results_after
 from service.web import pace, reader_process

@@ -17,7 +17,7 @@ from service.store import Store, open_store
 from service.store.event_log import EventLog
 from service.store.events import EventType, NewEvent
 from service.store.keys import create_key, revoke_key
-from service.web import open_streams, streams
+from service.web import connections, streams
 from service.web.connections import READING_S, REQUEST_S
 from service.web.settings import ApiSettings, Scope
 
@@ -181,7 +181,7 @@ async def test_a_key_that_is_revoked_ends_the_stream(
 async def test_streams_leave_connections_to_everything_else(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(open_streams, "max_connections", lambda: 12)
+    monkeypatch.setattr(connections, "max_connections", lambda: 12)
     held = [await opened(served) for _ in range(3)]
     for stream in held:
         assert (await stream.head()).startswith("HTTP/1.1 200")
@@ -197,7 +197,7 @@ async def test_streams_leave_connections_to_everything_else(
 async def test_one_address_leaves_streams_to_the_others(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(open_streams, "max_connections", lambda: 32)
+    monkeypatch.setattr(connections, "max_connections", lambda: 32)
     heads = [await (await opened(served)).head() for _ in range(8)]
     assert [head.startswith("HTTP/1.1 200") for head in heads] == 7 * [True] + [False]
     assert (await (await opened(served, address="127.0.0.2")).head()).startswith("HTTP/1.1 200")

@@ -8,8 +8,8 @@ from pydantic import BaseModel, Field
 from pipeline.frames import CameraId
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.specification import Decision, Verdict
-from service.base.schema import TIME
-from service.base.status import CameraOptics, CameraStatus, DeviceState, Ne107
+from service.base.schema import OptionalTime, Time
+from service.base.status import DeviceState, Ne107
 from service.health.alarms.alarm import AlarmState
 from service.health.alarms.rules import Priority
 from service.results.fields import Outcome, Verified
@@ -29,7 +29,7 @@ class OverviewLot(BaseModel):
     lot: str = Field(description="Material lot")
     product: str = Field(description="Id of its product")
     title: str = Field(description="Name of the product for people")
-    opened_at: str = Field(description="When it was opened, RFC 3339 UTC", json_schema_extra=TIME)
+    opened_at: Time = Field(description="When it was opened, RFC 3339 UTC")
     n_stones: int = Field(description="Stones that fell, whatever became of them")
 
 
@@ -142,16 +142,14 @@ class OverviewStone(BaseModel):
     quality: str | None = Field(description="`good`, `reduced` or `degraded`; null unless measured")
     sieve_size_mm: float | None = Field(description="Smallest square aperture that it passes, mm")
     zingg_class: str | None = Field(description="Zingg's form: `equant`, `disc`, `rod` or `blade`")
-    captured_at: str | None = Field(
-        description="When the stone was exposed, RFC 3339 UTC", json_schema_extra=TIME
-    )
+    captured_at: OptionalTime = Field(description="When the stone was exposed, RFC 3339 UTC")
     has_mesh: bool = Field(description="Whether there is a mesh, and so a picture of it")
 
 
 class OverviewDocument(BaseModel):
     """Everything that an operator's page shows at a glance, at one moment; made once for all who look."""
 
-    at: str = Field(description="The moment, RFC 3339 UTC", json_schema_extra=TIME)
+    at: Time = Field(description="The moment, RFC 3339 UTC")
     instance_id: str = Field(description="Identity of the history of results, as in `/results`")
     is_simulated: bool = Field(description="True when the images of this run of the daemon are synthetic")
     is_replay: bool = Field(description="True when no stone falls: a recording is played, or simulated")
@@ -190,9 +188,3 @@ PASSING: Mapping[str, Any] = {
     "cameras": {"__all__": {"last_frame_age_s": True, "temperature_c": True}},
 }
 """Fields that time alone changes: they make no new overview."""
-
-
-def camera_in_short(status: CameraStatus) -> OverviewCamera:
-    """Return the state of a camera in short."""
-    optics = status.optics or CameraOptics()
-    return OverviewCamera.model_validate({**dict(optics), **dict(status)})

@@ -7,11 +7,14 @@ import hashlib
 import json
 import sqlite3
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import datetime, timedelta
+from typing import Literal
 
 from pipeline.frames import BundleKind, rfc3339
+from pipeline.gradation.estimates import Estimate
+from pipeline.gradation.specification import Decision
 from service.daemon.overview.overview_documents import (
     OverviewCounts,
     OverviewDecision,
@@ -117,7 +120,7 @@ def overview_figures(
         verdict=found.verdict,
         is_partial=found.is_partial,
         countdown=found.countdown,
-        decisions=list(_decisions(found)),
+        decisions=_decisions(found),
         d50_mm=median.interpolated_mm,
         flakiness_percent=found.indices.flakiness_percent,
         shape_percent=found.indices.shape_percent,
@@ -127,20 +130,19 @@ def overview_figures(
     )
 
 
-def _decisions(figures: LotFigures) -> Iterator[OverviewDecision]:
-    for step in sorted(figures.curve, key=lambda step: -step.sieve_mm):
-        if step.decision is not None:
-            yield OverviewDecision(
-                sieve_mm=step.sieve_mm, index=None, percent=step.passing_percent, decision=step.decision
-            )
-    if figures.flakiness_decision is not None:
-        percent = figures.indices.flakiness_percent
-        yield OverviewDecision(
-            sieve_mm=None, index="FI", percent=percent, decision=figures.flakiness_decision
-        )
-    if figures.shape_decision is not None:
-        percent = figures.indices.shape_percent
-        yield OverviewDecision(sieve_mm=None, index="SI", percent=percent, decision=figures.shape_decision)
+def _decisions(figures: LotFigures) -> list[OverviewDecision]:
+    indices = figures.indices
+    steps = sorted(figures.curve, key=lambda step: -step.sieve_mm)
+    judged: list[tuple[float | None, Literal["FI", "SI"] | None, Estimate, Decision | None]] = [
+        *((step.sieve_mm, None, step.passing_percent, step.decision) for step in steps),
+        (None, "FI", indices.flakiness_percent, figures.flakiness_decision),
+        (None, "SI", indices.shape_percent, figures.shape_decision),
+    ]
+    return [
+        OverviewDecision(sieve_mm=sieve_mm, index=index, percent=percent, decision=decision)
+        for sieve_mm, index, percent, decision in judged
+        if decision is not None
+    ]
 
 
 def _version(figures: LotFigures, lot: str | None) -> str:
@@ -176,18 +178,10 @@ def _todays_counts(connection: sqlite3.Connection, midnight: str, known: TodaysC
 
 def _newest(connection: sqlite3.Connection) -> tuple[OverviewStone, ...]:
     records = particles(connection, ParticleFilter(kind="particle"), None, N_NEWEST)
+    for record in records:
+        record["has_mesh"] = record.get("mesh") is not None and record["files_removed"] is None
     return tuple(
-        OverviewStone(
-            seq=record["seq"],
-            id=record["id"],
-            outcome=record["outcome"],
-            reason=record["reason"],
-            quality=record.get("quality"),
-            sieve_size_mm=record.get("sieve_size_mm"),
-            zingg_class=record.get("zingg_class"),
-            captured_at=record["captured_at"],
-            has_mesh=record.get("mesh") is not None and record["files_removed"] is None,
-        )
+        OverviewStone.model_validate({name: record.get(name) for name in OverviewStone.model_fields})
         for record in records
     )
 
@@ -198,21 +192,9 @@ def _open_lot(connection: sqlite3.Connection) -> OverviewLot | None:
         return None
     (lot,) = found
     product = find_product(connection, lot.product, lot.product_version)
-    return OverviewLot(
-        lot=lot.lot,
-        product=lot.product,
-        title=lot.product if product is None else product.definition.title,
-        opened_at=lot.opened_at,
-        n_stones=lot.n_stones,
-    )
+    return OverviewLot(title=lot.product if product is None else product.definition.title, **dict(lot))
 
 
 def _balance(by_outcome: Mapping[str, int], in_progress: int) -> OverviewCounts:
-    measured, rejected, lost = (by_outcome.get(outcome, 0) for outcome in Outcome)
-    return OverviewCounts(
-        triggers=measured + rejected + lost + in_progress,
-        measured=measured,
-        rejected=rejected,
-        lost=lost,
-        in_progress=in_progress,
-    )
+    counts = {outcome.value: by_outcome.get(outcome, 0) for outcome in Outcome}
+    return OverviewCounts(triggers=sum(counts.values()) + in_progress, in_progress=in_progress, **counts)

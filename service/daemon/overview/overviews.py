@@ -9,28 +9,29 @@ import logging
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 
 import numpy as np
 
 from drivers.files.times import utc_now
 from service.base.errors import ServiceError, StoreError
+from service.base.status import CameraOptics
 from service.calibration.calibrations import Calibrations
 from service.daemon.overview.overview_documents import (
     PASSING,
     OverviewAcquisition,
     OverviewAlarm,
     OverviewAlarms,
+    OverviewCamera,
     OverviewDocument,
     OverviewFigures,
     OverviewLatency,
     OverviewQueue,
     OverviewVerification,
-    camera_in_short,
 )
 from service.daemon.overview.overview_rows import Rows, overview_figures, overview_rows
-from service.health.alarms.alarm import ANNOUNCED, Alarm, AlarmState
+from service.health.alarms.alarm import ANNOUNCED, Alarm
 from service.health.alarms.alarms import Alarms
 from service.health.alarms.rules import Priority
 from service.health.facts import Facts
@@ -55,6 +56,7 @@ OLD_S = 60.0
 """Figures older than this, as after a time without viewers, are not shown if new ones come within `PATIENCE_S`."""
 PATIENCE_S = 2.0
 MAX_ALARMS = 20
+NO_OPTICS = CameraOptics()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,7 +188,9 @@ def _document(
         verification=_verification(calibrations),
         calibration_id=calibrations.rig_file.calibration_id,
         alarms=_alarms(control.part(Alarms).within(*ANNOUNCED)),
-        cameras=[camera_in_short(camera) for camera in facts.cameras],
+        cameras=[
+            OverviewCamera(**{**dict(each.optics or NO_OPTICS), **dict(each)}) for each in facts.cameras
+        ],
         newest=list(rows.newest),
         last_seq=max(rows_seq, 0),  # as far as the rows reach
         last_event=store.last_event,
@@ -212,20 +216,9 @@ def _verification(calibrations: Calibrations) -> OverviewVerification:
 def _alarms(announced: Sequence[Alarm]) -> OverviewAlarms:
     states = [alarm.state for alarm in announced]
     return OverviewAlarms(
-        unacknowledged=states.count(AlarmState.UNACKNOWLEDGED),
-        acknowledged=states.count(AlarmState.ACKNOWLEDGED),
-        returned=states.count(AlarmState.RETURNED),
+        **{state.value: states.count(state) for state in ANNOUNCED},
         urgent=sum(alarm.priority is Priority.URGENT for alarm in announced),
-        items=[
-            OverviewAlarm(
-                id=alarm.id,
-                subject=alarm.check,
-                priority=alarm.priority,
-                state=alarm.state,
-                detail=alarm.detail,
-            )
-            for alarm in announced[:MAX_ALARMS]
-        ],
+        items=[OverviewAlarm(subject=alarm.check, **asdict(alarm)) for alarm in announced[:MAX_ALARMS]],
     )
 
 

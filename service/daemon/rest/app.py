@@ -21,19 +21,19 @@ from service.daemon.overview.overviews import Overviews
 from service.daemon.rest.description import DESCRIPTION, SERVERS, TAGS, complete
 from service.store import Store
 from service.web.auth import has_right_key
-from service.web.body_limit import BodyLimit
+from service.web.body_limit import with_body_limit
 from service.web.context import ApiContext
 from service.web.control import Control
 from service.web.docs import docs_page
 from service.web.foreign_pages import ForeignPages
-from service.web.gzipped import GzippedJson
-from service.web.idempotency import AnsweredBeforeError, IdempotentPosts, repeat_answer
+from service.web.gzipped import gzipping
+from service.web.idempotency import AnsweredBeforeError, keeping_answers, repeat_answer
 from service.web.key_ring import KeyRing
-from service.web.pace import PacedRequests
-from service.web.pieces import Piecewise
+from service.web.pace import paced
+from service.web.pieces import in_pieces
 from service.web.problems import install_handlers
 from service.web.reader_process import Reading
-from service.web.request_ids import RequestIds
+from service.web.request_ids import with_request_ids
 from service.web.routes import screens
 from service.web.sessions import Sessions
 from service.web.settings import ApiSettings
@@ -69,13 +69,13 @@ def create_app(
         sessions=Sessions(store),
     )
     app.state.overviews = Overviews(store, control, reading)
-    app.add_middleware(IdempotentPosts, store=store)  # the innermost: what the others refuse is not kept
-    app.add_middleware(GzippedJson, reading=reading)
+    app.add_middleware(keeping_answers, store=store)  # the innermost: what the others refuse is not kept
+    app.add_middleware(gzipping, reading=reading)
     app.add_middleware(ForeignPages, settings=settings)
-    app.add_middleware(BodyLimit, max_body_bytes=settings.max_body_bytes)
-    app.add_middleware(PacedRequests, is_known=partial(has_right_key, context=app.state.context))
-    app.add_middleware(Piecewise)
-    app.add_middleware(RequestIds)  # the outermost: every answer has one
+    app.add_middleware(with_body_limit, max_body_bytes=settings.max_body_bytes)
+    app.add_middleware(paced, is_known=partial(has_right_key, context=app.state.context))
+    app.add_middleware(in_pieces)
+    app.add_middleware(with_request_ids)  # the outermost: every answer has one
     return app
 
 

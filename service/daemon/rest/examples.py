@@ -9,7 +9,7 @@ from service.lots.products import ProductDefinition
 from service.lots.routes.laboratory import SievingRequest
 from service.lots.routes.lots import AssignRequest, CloseRequest, LotRequest, VoidRequest
 from service.lots.trends.diary import DiaryRequest
-from service.particles.routes.pins import Pin
+from service.particles.routes.particles import Pin
 from service.particles.routes.results import ResultsPage
 from service.recording.recordings import RecordingRequest
 from service.web.problems import ProblemDocument

@@ -3,9 +3,10 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from service.base.ids import ID
+from service.base.schema import RequestBody
 from service.delivery.table import Attempt, deliveries
 from service.delivery.webhooks import WebhookDocument, Webhooks
 from service.web.auth import CONFIGURABLE, Who
@@ -28,10 +29,8 @@ class DeliveriesDocument(BaseModel):
     items: list[Attempt] = Field(description="Newest first")
 
 
-class ReplayRequest(BaseModel):
+class ReplayRequest(RequestBody):
     """From where events are posted to an endpoint again."""
-
-    model_config = ConfigDict(extra="forbid")
 
     after: int = Field(
         ge=0, le=MAX_SEQ, strict=True, description="`seq` of the last event that is not posted again"

@@ -3,10 +3,10 @@
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from pipeline.gradation.correlation import MappingForm
-from service.base.schema import TIME, Name
+from service.base.schema import TIME, Name, RequestBody
 from service.lots.laboratory import (
     MOST_SIEVES,
     CorrelationDocument,
@@ -34,10 +34,8 @@ from service.web.problems import existing, problem_responses
 router = APIRouter(tags=["laboratory"])
 
 
-class SievingRequest(BaseModel):
+class SievingRequest(RequestBody):
     """What a laboratory found: `retained_g` with `pan_g`, or a `table` as it is copied from a spreadsheet."""
-
-    model_config = ConfigDict(extra="forbid")
 
     retained_g: dict[Annotated[str, Field(pattern=r"^[0-9]{1,3}(\.[0-9]{1,4})?$")], float] | None = Field(
         default=None, max_length=MOST_SIEVES, description="Grams retained on each sieve, by aperture in mm"
@@ -76,10 +74,8 @@ class Sievings(BaseModel):
     items: list[SievingDocument] = Field(description="In the order in which they were entered")
 
 
-class StudyRequest(BaseModel):
+class StudyRequest(RequestBody):
     """A correlation study over all lots of a product that were sieved."""
-
-    model_config = ConfigDict(extra="forbid")
 
     form: MappingForm = Field(
         default=MappingForm.FACTOR, description="One factor for all sizes, or a rising mapping"

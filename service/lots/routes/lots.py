@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Response
 from fastapi import Request as HttpRequest
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from service.base.ids import ID
-from service.base.schema import REQUEST, TIME, GivenTime, adds_to
+from service.base.schema import REQUEST, TIME, GivenTime, RequestBody, adds_to
 from service.lots.lots import (
     LotDefinition,
     LotDocument,
@@ -52,28 +52,22 @@ class LotRequest(LotDefinition):
     """The newest when absent."""
 
 
-class CloseRequest(BaseModel):
+class CloseRequest(RequestBody):
     """What is known of a lot at its end."""
-
-    model_config = ConfigDict(extra="forbid")
 
     tonnage_t: Tonnage | None = Field(default=None, description="Of the whole lot, t")
 
 
-class VoidRequest(BaseModel):
+class VoidRequest(RequestBody):
     """Why a lot counts no more."""
-
-    model_config = ConfigDict(extra="forbid")
 
     reason: Annotated[str, Field(min_length=1, max_length=2000)] = Field(
         description="Why it counts no more; kept with the lot and in the audit"
     )
 
 
-class AssignRequest(BaseModel):
+class AssignRequest(RequestBody):
     """A time, whose stones outside of any lot are to be in this one."""
-
-    model_config = ConfigDict(extra="forbid")
 
     since: Annotated[GivenTime, Field(description="Captured at or after", json_schema_extra=TIME)]
     until: Annotated[GivenTime, Field(description="Captured before", json_schema_extra=TIME)]

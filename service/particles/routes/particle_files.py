@@ -29,7 +29,7 @@ from service.store.particle_files import first_seq
 from service.web.auth import READABLE
 from service.web.context import ApiContext, Context
 from service.web.etags import NOT_MODIFIED, Responses, has_version
-from service.web.negotiation import best_match
+from service.web.negotiation import negotiated
 from service.web.parameters import CameraName
 from service.web.problems import Problem, problem_responses
 from service.web.shared_documents import POLICY
@@ -128,11 +128,7 @@ async def mesh(asked: Asked) -> Response:
 
     Where `[body] texture` made them, PLY and GLB have the stone's grey as colours of the vertices.
     """
-    choice = best_match(asked.request.headers.get("accept"), list(MEDIA_TYPES.values()))
-    if choice is None:
-        detail = "a mesh comes as " + ", ".join(MEDIA_TYPES.values())
-        raise Problem(406, "not-acceptable", detail, headers={"Vary": "Accept"})
-    return await asked.mesh(list(MEDIA_TYPES)[choice])
+    return await asked.mesh(negotiated(asked.request, MEDIA_TYPES, "a mesh"))
 
 
 @router.get("/{particle_id}/mesh.{mesh_format}", response_class=Response, responses=MESH)

@@ -1,24 +1,30 @@
-"""Results as a list with filters, and one by one."""
+"""Results as a list with filters, and one by one; those that are pinned are kept at any age."""
 
+import sqlite3
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, Field
 
+from service.base.schema import RequestBody
 from service.particles.pages import particles_page
 from service.particles.routes.results import ChosenFields
 from service.results.fields import Result, completed
 from service.store import ParticleFilter, Record, read, reads
-from service.web.auth import READABLE
+from service.store.particle_files import first_seq
+from service.store.retention import pin
+from service.web.auth import OPERABLE, READABLE, Who
 from service.web.context import ApiContext, Context
-from service.web.etags import NOT_MODIFIED, etag, unchanged
+from service.web.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unchanged
 from service.web.feeds import MAX_SEQ, MAX_SMALL
 from service.web.gzipped import TakesGzip
-from service.web.problems import existing
+from service.web.problems import existing, problem_responses
 from service.web.version import API_VERSION
 
 router = APIRouter(prefix="/particles", tags=["particles"], dependencies=READABLE)
+pins = APIRouter(prefix="/particles", tags=["particles"], dependencies=OPERABLE)
+"""What needs another scope than `read`."""
 
 ParticleKey = Annotated[
     str,
@@ -45,6 +51,15 @@ class ParticlesPage(BaseModel):
 
     items: list[Result] = Field(description="Newest first")
     next_cursor: str | None = Field(description="Pass as `cursor` for the next page; null on the last")
+
+
+class Pin(RequestBody):
+    """Whether a result is pinned, and why."""
+
+    is_pinned: bool = Field(
+        description="True: keep result and files whatever their age; false: no longer", strict=True
+    )
+    reason: str = Field(default="", max_length=300, description="For people: why it must be kept")
 
 
 @router.get("", response_model=ParticlesPage)
@@ -88,3 +103,20 @@ async def find_record(context: ApiContext, key: str) -> Record:
     """Return the record with this `id` or `seq`; raise the problem 404 where there is none."""
     record = await context.store.read(reads.particle, int(key) if key.isdecimal() else key)
     return existing(record, "particle", key)
+
+
+@pins.put("/{particle_id}/pin", response_model=Result, responses=problem_responses(404))
+async def pin_particle(
+    context: Context, particle_id: ParticleKey, wanted: Pin, asking: Who, if_match: IfMatch = None
+) -> Response:
+    """Pin or unpin a result, and return it. What was removed before does not come back."""
+    seq = first_seq((await find_record(context, particle_id))["id"])
+    context.store.require_writable()
+
+    def version(connection: sqlite3.Connection) -> str:
+        key = int(particle_id) if particle_id.isdecimal() else particle_id
+        return record_tag(existing(reads.particle(connection, key), "particle", particle_id))
+
+    reason = wanted.reason if wanted.is_pinned else None
+    await context.store.write(change_if_match, if_match, version, pin, seq, reason, asking)
+    return record_response(await find_record(context, particle_id))

@@ -1,5 +1,7 @@
 """The feed: every outcome in order, for a client that keeps its own position."""
 
+from dataclasses import replace
+from operator import attrgetter
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query
@@ -7,19 +9,21 @@ from fastapi.responses import Response
 from pydantic import Field
 
 from service.base.schema import GivenTime
-from service.particles.feeds import RESULTS, choosing
-from service.particles.pages import Names
+from service.particles.pages import Names, feed_page, result_stream
 from service.results.fields import Result
 from service.results.selection import UnknownFieldsError, chosen_fields
 from service.store.reads import seq_before
 from service.web.auth import READABLE
 from service.web.context import Context
-from service.web.feeds import MAX_SEQ, page_after, require_within
+from service.web.feeds import MAX_SEQ, Feed, page_after, require_within
 from service.web.gzipped import TakesGzip
 from service.web.pages import CursorPage
 from service.web.problems import Problem, problem_responses
 
 router = APIRouter(prefix="/results", tags=["results"], dependencies=READABLE)
+
+RESULTS = Feed(kind="result", query=feed_page, is_large=True, last=attrgetter("last_seq"))
+RESULT_STREAM = replace(RESULTS, query=result_stream, is_stream=True)
 
 
 class ResultsPage(CursorPage):
@@ -84,6 +88,6 @@ async def results(
             errors = [{"field": "query.since", "message": message}]
             raise Problem(422, "invalid-request", f"query.since: {message}", errors=errors)
         after = await context.store.read(seq_before, since)
-    page = await page_after(context, choosing(RESULTS, names, as_gzip), after, limit, wait_s)
+    page = await page_after(context, replace(RESULTS, more=(names, as_gzip)), after, limit, wait_s)
     require_within(page.cursor, after, RESULTS.kind)
     return Response(page.content, media_type="application/json")

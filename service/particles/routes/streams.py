@@ -1,11 +1,11 @@
 """Results and events as server-sent events."""
 
+from dataclasses import replace
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, Query, Request
 
-from service.particles.feeds import RESULT_STREAM, choosing
-from service.particles.routes.results import ChosenFields
+from service.particles.routes.results import RESULT_STREAM, ChosenFields
 from service.web.auth import require
 from service.web.context import Context
 from service.web.feeds import EVENT_STREAM, MAX_SEQ
@@ -57,7 +57,8 @@ async def results_stream(
     15 s of silence a comment. Connect again with `Last-Event-ID` to go on. 409 and 410 as of `/results`; what goes
     wrong later is an event `problem`, the last one. `fields` chooses fields as of `/results`.
     """
-    return await open_stream(context, choosing(RESULT_STREAM, names), after, request, allow)
+    feed = replace(RESULT_STREAM, more=(names,))
+    return await open_stream(context, feed, after, request, allow)
 
 
 @router.get("/events/stream", response_class=EventStream, responses=problem_responses(409, 410))

@@ -1,6 +1,6 @@
 """The reports of lots."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Response
 from fastapi import Request as HttpRequest
@@ -14,14 +14,14 @@ from service.reports.report import ReportFormat
 from service.store import read
 from service.web.auth import READABLE
 from service.web.context import ApiContext, Context
-from service.web.negotiation import best_match
-from service.web.problems import Problem, existing, problem_responses
+from service.web.etags import Responses
+from service.web.negotiation import negotiated
+from service.web.problems import existing, problem_responses
 
 router = APIRouter(prefix="/lots", tags=["lots"], dependencies=READABLE)
 
-REPORTS: dict[int | str, dict[str, Any]] = {
-    200: {"content": {each.media_type.partition(";")[0]: {} for each in ReportFormat}}
-}
+OFFERS = {each: each.media_type.partition(";")[0] for each in ReportFormat}
+REPORTS: Responses = {200: {"content": {media_type: {} for media_type in OFFERS.values()}}}
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 """What a browser lets the HTML do: it has no scripts and loads nothing."""
 ReportLanguage = Annotated[Language, Query(description="Language of the report")]
@@ -36,13 +36,7 @@ async def report(
     language: ReportLanguage = Language.ENGLISH,
 ) -> Response:
     """Get the report of a lot: in the format that `Accept` prefers, HTML, PDF, CSV or XLSX."""
-    offers = [each.media_type.partition(";")[0] for each in ReportFormat]
-    choice = best_match(asked.headers.get("accept"), offers)
-    if choice is None:
-        raise Problem(
-            406, "not-acceptable", "a report comes as " + ", ".join(offers), headers={"Vary": "Accept"}
-        )
-    return await _report(context, lot, list(ReportFormat)[choice], language, measuring)
+    return await _report(context, lot, negotiated(asked, OFFERS, "a report"), language, measuring)
 
 
 @router.get("/{lot}/report.{report_format}", response_class=Response, responses=REPORTS)

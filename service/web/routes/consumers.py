@@ -5,9 +5,10 @@ from dataclasses import asdict
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from service.base.ids import ID
+from service.base.schema import RequestBody
 from service.store.retention import ConsumerDocument, ParkedCursor, consumers, forget, park
 from service.web.auth import OPERABLE, READABLE, Who
 from service.web.context import Context
@@ -26,10 +27,8 @@ class Consumers(BaseModel):
     items: list[ConsumerDocument] = Field(description="By name")
 
 
-class Cursor(BaseModel):
+class Cursor(RequestBody):
     """The place up to which a consumer has read the feed."""
-
-    model_config = ConfigDict(extra="forbid")
 
     after: int = Field(ge=0, le=MAX_SEQ, strict=True, description="`next_after` of the last page that it has")
 
