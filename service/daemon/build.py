@@ -20,7 +20,7 @@ from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import LoopWatch
 from service.daemon.parts import parts_of
 from service.daemon.reloading import Configuration
-from service.daemon.rest.metrics import result_delays
+from service.daemon.rest.routes.metrics import result_delays
 from service.daemon.retaining import Retaining
 from service.daemon.running_daemon import N_LATEST, Daemon, Watches
 from service.daemon.session import Session, begin_session
@@ -226,6 +226,7 @@ def _build_processing(
     latest_delays_s: deque[float],
 ) -> Processing:
     settings, belt = session.settings, session.devices.belt
+    optics = settings.rig.optical_settings
 
     def on_result(record: Result) -> None:
         for watch in (watches.rig, watches.optics, watches.refinement):
@@ -246,7 +247,10 @@ def _build_processing(
             checked=False,  # this process has just written the pixels
             # without real time the belt waits for each bundle, and a replay gives equal results each time
             can_rush=belt is None or belt.pace == "recorded",
-            kept_background=_kept_background(session),
+            # it outlives the daemon, but in replay, where only the recording counts
+            kept_background=None
+            if optics is None
+            else KeptBackground(session.store.dir, image_sizes_px(session.configured_rig), optics),
         ),
         spool=spool,
         pool=pool,
@@ -261,11 +265,3 @@ def _build_processing(
         ),
         quarantine=session.quarantine,
     )
-
-
-def _kept_background(session: Session) -> KeptBackground | None:
-    """Return the background that outlives the daemon, None in replay, where only the recording counts."""
-    optical_settings = session.settings.rig.optical_settings
-    if optical_settings is None:
-        return None
-    return KeptBackground(session.store.dir, image_sizes_px(session.configured_rig), optical_settings)

@@ -11,7 +11,7 @@ from service.lots.yardsticks import Request
 from service.processing.worker_process import worker_boundary
 from service.reports.lot_reports import ReportRequest, RigStanding, report_data
 from service.reports.render import render
-from service.reports.report import ReportData, ReportFormat
+from service.reports.report import ReportFormat
 from service.store import Store
 from service.store.schema import connect_reader
 from service.web.control import Control
@@ -51,13 +51,12 @@ def lot_files(
             data = report_data(connection, particles_dir, lot, wanted, has_pictures=DropFormat.PDF in formats)
             if data is None or data.figures.lot is None:
                 return None
-            content = {each: _file(data, each) for each in formats}
+            content = {
+                each: data.figures.model_dump_json().encode()
+                if each is DropFormat.JSON
+                else render(data, ReportFormat(each))
+                for each in formats
+            }
             return LotFiles(revision=data.figures.lot.revision, content=content)
     except WorkerFailure as failure:
         raise FilesFailedError(str(failure).strip().rpartition("\n")[2]) from None
-
-
-def _file(data: ReportData, drop_format: DropFormat) -> bytes:
-    if drop_format is DropFormat.JSON:
-        return data.figures.model_dump_json().encode()
-    return render(data, ReportFormat(drop_format))

@@ -22,6 +22,7 @@ from service.base.status import (
     Health,
 )
 from service.calibration.calibrations import Calibrations
+from service.calibration.verifications import VerificationState
 from service.configuration.settings import Settings
 from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
 from service.daemon.diagnostics.inputs import Inputs
@@ -30,7 +31,6 @@ from service.daemon.loop_watch import LoopWatch
 from service.daemon.part import Part
 from service.daemon.reloading import Configuration
 from service.daemon.retaining import Retaining
-from service.daemon.rig_standing import rig_standing
 from service.daemon.session import Session
 from service.delivery.webhooks import Webhooks
 from service.health.alarms.alarms import Alarms
@@ -49,6 +49,8 @@ from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
 from service.reports.lot_reports import RigStanding
+from service.reports.report import LastVerification, VerificationOutcome
+from service.results.fields import Verified
 from service.store.checks import free_bytes
 from service.web.key_ring import KeyRing
 
@@ -145,10 +147,7 @@ class Daemon:
         return [
             status.model_copy(
                 update=asdict(scores.get(status.id, CameraScore()))
-                | {
-                    "optics": optics.get(status.id),
-                    "ne107": camera_ne107(status, findings),
-                }
+                | {"optics": optics.get(status.id), "ne107": camera_ne107(status, findings)}
             )
             for status in self.acquisition.cameras.statuses()
         ]
@@ -202,3 +201,22 @@ class Daemon:
         """Return one line for `systemctl status`."""
         last_seq = self.session.store.last_seq
         return f"{self.acquisition.state}, {self.spool.n_queued} bundles waiting, last result {last_seq}"
+
+
+def rig_standing(calibrations: Calibrations) -> RigStanding:
+    """Return the last verification of the rig file in use, and whether another one is overdue."""
+    last = calibrations.verifications.last(calibrations.rig_file.calibration_id)
+    return RigStanding(
+        verification=None
+        if last is None
+        else LastVerification(
+            id=last.id,
+            at=last.changed_at,
+            outcome=VerificationOutcome.PASSED
+            if last.state is VerificationState.PASSED
+            else VerificationOutcome.FAILED,
+            diameter_mm=last.diameter_mm,
+            error_mm=None if last.summary is None else last.summary.error_mm,
+        ),
+        is_overdue=calibrations.verified is Verified.OVERDUE,
+    )

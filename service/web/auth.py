@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Awaitable, Callable, Collection
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated
 
 from fastapi import Depends, Request, Security
@@ -26,6 +25,7 @@ from service.web.settings import Scope
 
 THIS_MACHINE, ANYBODY = "this machine", "anybody"
 """Who asks without a key: from this machine, and from elsewhere where that is allowed."""
+NO_KEYS = "there is no key yet: only this machine may ask; `stonefall keys create` makes one"
 INVALID_TOKEN = {"WWW-Authenticate": 'Bearer error="invalid_token"'}
 FORWARDED = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip", "via")
 """Headers by which a proxy on this machine says that it passes on a client's request."""
@@ -44,7 +44,7 @@ class Asker:
 
     who: str | None  # for the audit; None: unknown
     scopes: Collection[str]
-    refusal: Callable[[Scope], Problem]  # of a scope that is lacking
+    refusal: str | None = None  # why the request has no key; None while there is none at all
     key: AccessKey | None = None
     session: BrowserSession | None = None
 
@@ -59,7 +59,7 @@ def require(scope: Scope) -> Callable[[Request, Context], Awaitable[None]]:
     ) -> None:
         asker = asker_of(request, context)
         if scope not in asker.scopes:
-            raise asker.refusal(scope)
+            raise _refusal(asker, scope)
         if asker.session is not None:
             require_own_page(request, context.settings)
         request.state.who = asker.who or ANYBODY
@@ -84,7 +84,9 @@ def asker_of(request: Request, context: Context, *, counts_guess: bool = True) -
     keys.refresh()
     is_local = _is_from_this_machine(request)
     if keys.is_empty:
-        return _asker_without_keys(context, is_local)
+        may_read = {Scope.READ} if context.settings.may_read_without_keys else set()
+        scopes = set(Scope) if is_local else may_read
+        return Asker(who=THIS_MACHINE if is_local else None, scopes=scopes)
     free = {Scope.READ} if is_local and context.settings.loopback_reads_without_key else set()
     scheme, token = get_authorization_scheme_param(request.headers.get("authorization"))
     refusal = "send the token of a key as bearer token, or sign in"
@@ -99,16 +101,8 @@ def asker_of(request: Request, context: Context, *, counts_guess: bool = True) -
         if ended is not None:
             refusal, key = ended, None
     if key is None:
-        return Asker(
-            who=THIS_MACHINE if free else None, scopes=free, refusal=lambda _: _unauthorized(refusal)
-        )
-    return Asker(
-        who=f"key {key.name}",
-        scopes={*key.scopes, *free},
-        refusal=partial(_lacks, key),
-        key=key,
-        session=session,
-    )
+        return Asker(who=THIS_MACHINE if free else None, scopes=free, refusal=refusal)
+    return Asker(who=f"key {key.name}", scopes={*key.scopes, *free}, key=key, session=session)
 
 
 def has_right_key(request: Request, context: ApiContext) -> bool:
@@ -150,28 +144,16 @@ def who(request: Request) -> str:
 Who = Annotated[str, Depends(who)]
 
 
-def _asker_without_keys(context: ApiContext, is_local: bool) -> Asker:
-    scopes = set(Scope) if is_local else {Scope.READ} if context.settings.may_read_without_keys else set()
-    return Asker(who=THIS_MACHINE if is_local else None, scopes=scopes, refusal=_not_without_keys)
-
-
-def _not_without_keys(scope: Scope) -> Problem:
-    if scope is not Scope.READ:
+def _refusal(asker: Asker, scope: Scope) -> Problem:
+    """Return the problem of a requester that lacks a scope: 403 with a key, and for writes while there is none."""
+    if asker.key is not None:
+        detail = f"key {asker.key.name!r} lacks the scope {str(scope)!r}"
+        challenge = f'Bearer error="insufficient_scope", scope="{scope}"'
+        return Problem(403, "forbidden", detail, headers={"WWW-Authenticate": challenge})
+    if asker.refusal is None and scope is not Scope.READ:
         return Problem(403, "forbidden", "only this machine may do this while there is no key")
-    return _unauthorized("there is no key yet: only this machine may ask; `stonefall keys create` makes one")
-
-
-def _unauthorized(detail: str) -> Problem:
+    detail = asker.refusal or NO_KEYS
     return Problem(401, "unauthorized", detail, headers={"WWW-Authenticate": "Bearer"})
-
-
-def _lacks(key: AccessKey, scope: Scope) -> Problem:
-    return Problem(
-        403,
-        "forbidden",
-        f"key {key.name!r} lacks the scope {str(scope)!r}",
-        headers={"WWW-Authenticate": f'Bearer error="insufficient_scope", scope="{scope}"'},
-    )
 
 
 def _is_from_this_machine(request: Request) -> bool:

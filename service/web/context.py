@@ -1,13 +1,15 @@
 """The dependency of every route: what `create_app` was given, kept in the state of the application."""
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Annotated, TypeVar
+from sqlite3 import Connection
+from typing import Annotated, Concatenate, ParamSpec, TypeVar
 
 from fastapi import Depends, Request
 
 from service.base.errors import StoreError
-from service.store import Store
+from service.store import Store, read
 from service.store.accounting import OutcomeCounts, outcome_counts
 from service.web.clients import KeyGuesses
 from service.web.connections import OpenStreams
@@ -19,6 +21,7 @@ from service.web.sessions import Sessions
 from service.web.settings import ApiSettings
 from service.web.shared_answers import SharedAnswers
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 
@@ -52,6 +55,17 @@ class ApiContext:
     streams: OpenStreams = field(default_factory=OpenStreams)
     counted: CountedOutcomes = field(default_factory=CountedOutcomes)
     guesses: KeyGuesses = field(default_factory=KeyGuesses)
+
+    async def read_beside(self, query: Callable[..., T], *arguments: object) -> T:
+        """Return `query(connection, *arguments)`, made in the reading process: it takes long."""
+        return await self.reading.run(read, self.store.path, query, *arguments)
+
+    async def write(
+        self, change: Callable[Concatenate[Connection, P], T], *args: P.args, **kwargs: P.kwargs
+    ) -> T:
+        """Return `change(connection, ...)`; raise `StoreError` at once while the store cannot be written."""
+        self.store.require_writable()
+        return await self.store.write(change, *args, **kwargs)
 
     def part(self, kind: type[T]) -> T:
         """Return the part of the daemon of this class."""

@@ -60,11 +60,7 @@ def is_gzipped(content: bytes) -> bool:
 
 
 def page_of(
-    page: HistoryPage,
-    after: int,
-    instance_id: str,
-    items: Iterable[Mapping[str, Any]],
-    as_gzip: bool = False,
+    page: HistoryPage, after: int, instance_id: str, items: Iterable[Mapping[str, Any]], as_gzip: bool = False
 ) -> FeedPage:
     """Return the page as JSON."""
     cursor = _cursor_of(page, after, instance_id)

@@ -1,10 +1,10 @@
 """Documents and drawings of the reading process: made once for all who ask the same."""
 
 from collections.abc import Callable, Hashable
+from functools import partial
 
 from fastapi import Request, Response
 
-from service.store import read
 from service.web.context import ApiContext
 from service.web.etags import NOT_MODIFIED, Responses, etag, unchanged
 
@@ -16,21 +16,14 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 
 
 async def shared(
-    context: ApiContext,
-    function: Callable[..., str | None],
-    *arguments: Hashable,
-    keep_s: float,
+    context: ApiContext, function: Callable[..., str | None], *arguments: Hashable, keep_s: float
 ) -> str | None:
     """Return `function(connection, *arguments)`, made in the reading process, once for all who ask the same.
 
     It is kept for a time, as long as there is no new result and no new event.
     """
-    store = context.store
-
-    async def make() -> str | None:
-        return await context.reading.run(read, store.path, function, *arguments)
-
-    question = (function, arguments, store.last_seq, store.last_event)
+    question = (function, arguments, context.store.last_seq, context.store.last_event)
+    make = partial(context.read_beside, function, *arguments)
     return await context.shared.get(question, make, keep_s=keep_s)
 
 

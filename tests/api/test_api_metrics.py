@@ -6,13 +6,14 @@ from pathlib import Path
 
 import httpx
 import pytest
+from prometheus_client import generate_latest
 from prometheus_client.parser import text_string_to_metric_families
 from support.outcomes import add, measured, rejected, trigger
 from support.rest import SICK_HEALTH, FakeControl, app_of, client_of
 
 from service.base.redaction import redacted
 from service.configuration.settings import Settings, load_settings
-from service.daemon.rest.metrics import DELAYS_S, Snapshot, metrics_text
+from service.daemon.rest.routes.metrics import DELAYS_S, Snapshot
 from service.results.fields import Verified
 from service.store import Store
 from service.store.accounting import OutcomeCounts, outcome_counts
@@ -149,7 +150,7 @@ def test_the_guide_names_every_metric_and_the_rules_name_no_other(control: FakeC
         verified=Verified.NEVER,
         last_verification=None,
     )
-    families = {family.name for family in text_string_to_metric_families(metrics_text(snapshot).decode())}
+    families = {family.name for family in text_string_to_metric_families(generate_latest(snapshot).decode())}
     guide = GUIDE.read_text(encoding="utf-8")
     named = {re.sub(r"_total$", "", name) for name in re.findall(r"`(stonefall_\w+)`", guide)}
     assert families - named == set()

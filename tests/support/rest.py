@@ -38,8 +38,8 @@ from service.base.status import (
 from service.calibration.calibrations import Calibrations
 from service.daemon.diagnostics.inputs import Inputs
 from service.daemon.rest import app
-from service.daemon.rest.metrics import result_delays
-from service.daemon.rig_standing import rig_standing
+from service.daemon.rest.routes.metrics import result_delays
+from service.daemon.running_daemon import rig_standing
 from service.delivery.webhooks import Webhooks
 from service.health.alarms.alarms import Alarms
 from service.health.facts import Facts

@@ -1,6 +1,6 @@
 """The REST application, assembled from its routes."""
 
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 from fastapi import FastAPI
@@ -61,12 +61,7 @@ def create_app(
     """Build the application that serves `store` and steers `control`; what takes long is made by `reading`."""
     app = build_routes()
     app.state.context = ApiContext(
-        store=store,
-        control=control,
-        settings=settings,
-        reading=reading,
-        keys=keys,
-        sessions=Sessions(store),
+        store=store, control=control, settings=settings, reading=reading, keys=keys, sessions=Sessions(store)
     )
     app.state.overviews = Overviews(store, control, reading)
     app.add_middleware(keeping_answers, store=store)  # the innermost: what the others refuse is not kept
@@ -110,20 +105,13 @@ def build_routes() -> FastAPI:
 
     install_handlers(app)
     app.add_exception_handler(AnsweredBeforeError, repeat_answer)
-    _describe(app)
-    return app
-
-
-def _describe(app: FastAPI) -> None:
-    """Complete the OpenAPI document of the routes."""
     generate = app.openapi
-    completed: list[dict[str, Any]] = []
 
+    @cache
     def openapi() -> dict[str, Any]:
-        if not completed:
-            document = generate()
-            complete(document)
-            completed.append(document)
-        return completed[0]
+        document = generate()
+        complete(document)
+        return document
 
     app.openapi = openapi  # type: ignore[method-assign]  # FastAPI's documented way to extend it
+    return app

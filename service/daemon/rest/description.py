@@ -7,13 +7,7 @@ from typing import Any
 from service.daemon.rest.examples import EXAMPLES
 from service.daemon.rest.webhook_messages import DETAILS, MESSAGES, WEBHOOKS
 from service.web.idempotency import HEADER, KEY, REPLAYED
-from service.web.openapi_parts import (
-    HEADERS,
-    header_references,
-    shared_answer,
-    shared_answers,
-    shorten,
-)
+from service.web.openapi_parts import HEADERS, header_references, shared_answer, shared_answers, shorten
 from service.web.problems import ProblemDocument
 
 DESCRIPTION = """\

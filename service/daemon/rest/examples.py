@@ -16,6 +16,26 @@ from service.web.problems import ProblemDocument
 from service.web.routes.consumers import Cursor
 
 INSTANCE_ID = "141fc8a1-0136-4f71-9b89-bda3f11805d3"
+MEASURED = {
+    "seq": 1,
+    "id": "141fc8a1-00000001",
+    "revision": 1,
+    "kind": "particle",
+    "captured_at": "2026-03-01T06:00:12.345Z",
+    "outcome": "measured",
+    "sieve_size_mm": 11.92,
+    "mass_g": 3.1,
+    "is_simulated": False,
+    "is_replay": False,
+}
+REJECTED = MEASURED | {
+    "seq": 2,
+    "id": "141fc8a1-00000002",
+    "captured_at": "2026-03-01T06:00:13.120Z",
+    "outcome": "rejected",
+    "sieve_size_mm": None,
+    "mass_g": None,
+}
 
 EXAMPLES: Mapping[type, Mapping[str, Any]] = {
     ProductDefinition: {
@@ -58,32 +78,7 @@ EXAMPLES: Mapping[type, Mapping[str, Any]] = {
         "first_seq": 1,
         "last_seq": 2,
         "next_after": 2,
-        "items": [
-            {
-                "seq": 1,
-                "id": "141fc8a1-00000001",
-                "revision": 1,
-                "kind": "particle",
-                "captured_at": "2026-03-01T06:00:12.345Z",
-                "outcome": "measured",
-                "sieve_size_mm": 11.92,
-                "mass_g": 3.1,
-                "is_simulated": False,
-                "is_replay": False,
-            },
-            {
-                "seq": 2,
-                "id": "141fc8a1-00000002",
-                "revision": 1,
-                "kind": "particle",
-                "captured_at": "2026-03-01T06:00:13.120Z",
-                "outcome": "rejected",
-                "sieve_size_mm": None,
-                "mass_g": None,
-                "is_simulated": False,
-                "is_replay": False,
-            },
-        ],
+        "items": [MEASURED, REJECTED],
     },
     ProblemDocument: {
         "type": "urn:stonefall:problem:cursor-ahead",

@@ -26,8 +26,7 @@ async def post_diary(context: Context, wanted: DiaryRequest, asking: Who) -> Dia
 
     `POST /diary` and `POST /events` are the same. An entry is never edited: a later one says what was wrong.
     """
-    context.store.require_writable()
-    return await context.store.write(note_entry, wanted, asking)
+    return await context.write(note_entry, wanted, asking)
 
 
 @router.get("/diary", dependencies=READABLE)

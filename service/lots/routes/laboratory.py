@@ -26,7 +26,6 @@ from service.lots.routes.lot_figures import Measuring
 from service.lots.routes.lots import LotName
 from service.lots.routes.products import ProductName
 from service.lots.samples import Conditions, SampleStudy, sample_study
-from service.store import read
 from service.web.auth import CONFIGURABLE, OPERABLE, READABLE, Who
 from service.web.context import Context
 from service.web.problems import existing, problem_responses
@@ -93,15 +92,14 @@ async def post_sieving(context: Context, lot: LotName, wanted: SievingRequest, a
     """Store a sieving of the laboratory: of a portion of a lot, to be shown beside the instrument's curve."""
     existing(await context.store.read(find_lot, lot), "lot", lot)
     sieving = _sieving(wanted)
-    context.store.require_writable()
-    return sieving_document(await context.store.write(add_sieving, lot, sieving, asking))
+    return sieving_document(await context.write(add_sieving, lot, sieving, asking))
 
 
 @router.get("/lots/{lot}/sieving", response_model=Sievings, dependencies=READABLE)
 async def list_sievings(context: Context, lot: LotName) -> Response:
     """List a lot's sievings of the laboratory."""
     existing(await context.store.read(find_lot, lot), "lot", lot)
-    content = await context.reading.run(read, context.store.path, sievings_json, lot)
+    content = await context.read_beside(sievings_json, lot)
     return Response(content, media_type="application/json")
 
 
@@ -112,7 +110,7 @@ async def post_correlation(
     """Correlate the instrument with a product's sievings; lots show both curves from now on."""
     existing(await context.store.read(find_product, product), "product", product)
     context.store.require_writable()
-    found = await context.reading.run(read, context.store.path, study_of, product, wanted.form)
+    found = await context.read_beside(study_of, product, wanted.form)
     return await context.store.write(keep_study, product, found, asking)
 
 
@@ -133,9 +131,7 @@ async def get_repeatability(
     ] = Conditions.DAY,
 ) -> SampleStudy:
     """Get the repeatability of a sample: of the same stones dropped again in closed lots, by others, elsewhere."""
-    found: SampleStudy | None = await context.reading.run(
-        read, context.store.path, sample_study, sample_id, conditions, measuring
-    )
+    found = await context.read_beside(sample_study, sample_id, conditions, measuring)
     return existing(found, "sample", sample_id)
 
 

@@ -17,7 +17,6 @@ from service.lots.routes.lots import LotName
 from service.lots.shifts import LotsSettings, shift_at
 from service.lots.stones import Choice, StoneBehindStep, stones_behind, versions_of_lot
 from service.lots.yardsticks import Request, yardstick_of
-from service.store import read
 from service.web.auth import READABLE
 from service.web.context import ApiContext, Context
 from service.web.problems import existing, problem_responses
@@ -96,8 +95,7 @@ async def gradation(context: Context, lot: LotName, measuring: Measuring, choosi
 
     `without` and `algorithm_version` ask what they would be of other stones; the document repeats what was asked.
     """
-    given = (lot_figures, lot, measuring, choosing)
-    content = await context.reading.run(read, context.store.path, as_json, *given)
+    content = await context.read_beside(as_json, lot_figures, lot, measuring, choosing)
     return Response(existing(content, "lot", lot), media_type="application/json")
 
 
@@ -105,9 +103,8 @@ async def gradation(context: Context, lot: LotName, measuring: Measuring, choosi
 async def algorithm_versions(context: Context, lot: LotName) -> dict[str, Any]:
     """List the algorithm versions that have measured stones of a lot, each with the number of stones."""
     existing(await context.store.read(find_lot, lot), "lot", lot)
-    found = await context.reading.run(read, context.store.path, versions_of_lot, lot)
-    items = [{"algorithm_version": version, "n_stones": n_stones} for version, n_stones in found.items()]
-    return {"items": items}
+    found = await context.read_beside(versions_of_lot, lot)
+    return {"items": [{"algorithm_version": version, "n_stones": n} for version, n in found.items()]}
 
 
 @router.get("/{lot}/particles")
@@ -169,5 +166,5 @@ async def _figures(
     context: ApiContext, since: str, until: str, product: str | None, measuring: Request
 ) -> Response:
     given = (window_figures, since, until, measuring, product)
-    content = await context.reading.run(read, context.store.path, as_json, *given)
+    content = await context.read_beside(as_json, *given)
     return Response(existing(content, "product", str(product)), media_type="application/json")

@@ -99,8 +99,7 @@ async def post_lot(context: Context, wanted: LotRequest, response: Response, ask
 
     The same request again returns the open lot. 409 `lot-conflict` while another is open, or if this one was.
     """
-    context.store.require_writable()
-    record = await context.store.write(
+    record = await context.write(
         open_lot, definition_of(wanted), wanted.product, wanted.product_version, asking
     )
     response.headers["Location"] = f"{BASE}/lots/{wanted.lot}"
@@ -138,7 +137,6 @@ async def post_close(
     if_match: IfMatch = None,
 ) -> LotDocument:
     """Close a lot; what fell before stays in it, though it is measured later. A closed one stays as it is."""
-    context.store.require_writable()
     return _served(response, await _changed(context, lot, if_match, close_lot, wanted.tonnage_t, asking))
 
 
@@ -152,15 +150,13 @@ async def post_void(
     if_match: IfMatch = None,
 ) -> LotDocument:
     """Declare a lot void: it counts no more, and is kept."""
-    context.store.require_writable()
     return _served(response, await _changed(context, lot, if_match, void_lot, wanted.reason, asking))
 
 
 @router.post("/{lot}/assign", response_model=Assigned, dependencies=OPERABLE)
 async def post_assign(context: Context, lot: LotName, wanted: AssignRequest, asking: Who) -> Assigned:
     """Assign stones to a lot: those of a time that are in no lot; the audit keeps who did it."""
-    context.store.require_writable()
-    done = await context.store.write(assign, lot, wanted.since, wanted.until, asking)
+    done = await context.write(assign, lot, wanted.since, wanted.until, asking)
     record, n_assigned = existing(done, "lot", lot)
     return Assigned(lot=record, n_assigned=n_assigned)
 
@@ -192,6 +188,4 @@ async def _changed(
         return _tag_of_facts(existing(find_lot(connection, lot), "lot", lot))
 
     facts = None if if_match is None else STONES.sub("", if_match)
-    return existing(
-        await context.store.write(change_if_match, facts, version, change, lot, *given), "lot", lot
-    )
+    return existing(await context.write(change_if_match, facts, version, change, lot, *given), "lot", lot)

@@ -63,15 +63,12 @@ async def put_product(
 ) -> Product:
     """Define or change a product: a change is a new version, and lots keep theirs."""
     yardstick_of(wanted, Request())  # raises where it cannot be judged
-    context.store.require_writable()
 
     def version(connection: sqlite3.Connection) -> str | None:
         newest = find_product(connection, product)
         return None if newest is None else _tag(newest)
 
-    saved = await context.store.write(
-        change_if_match, if_match, version, save_product, product, wanted, asking
-    )
+    saved = await context.write(change_if_match, if_match, version, save_product, product, wanted, asking)
     response.headers["ETag"] = _tag(saved)
     return saved
 

@@ -36,11 +36,7 @@ from service.web.shared_documents import POLICY
 
 router = APIRouter(prefix="/particles", tags=["particles"], dependencies=READABLE)
 
-MEDIA_TYPES = {
-    MeshFormat.PLY: "model/ply",
-    MeshFormat.STL: "model/stl",
-    MeshFormat.GLB: "model/gltf-binary",
-}
+MEDIA_TYPES = {MeshFormat.PLY: "model/ply", MeshFormat.STL: "model/stl", MeshFormat.GLB: "model/gltf-binary"}
 CACHE_FOREVER = "private, max-age=31536000, immutable"
 ASK_AGAIN = "private, no-cache"
 """For what another revision may replace: it may be kept, and is asked for by its ETag."""
@@ -111,9 +107,7 @@ async def view_request(
     return replace(asked, camera=camera)
 
 
-async def format_of(
-    mesh_format: Annotated[MeshFormat, Path(description="Format of the file")],
-) -> MeshFormat:
+async def format_of(mesh_format: Annotated[MeshFormat, Path(description="Format of the file")]) -> MeshFormat:
     """Return the format that the path names; a dependency, as parameters of the path stand in its order then."""
     return mesh_format
 

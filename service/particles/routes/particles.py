@@ -11,7 +11,7 @@ from service.base.schema import RequestBody
 from service.particles.pages import particles_page
 from service.particles.routes.results import ChosenFields
 from service.results.fields import Result, completed
-from service.store import ParticleFilter, Record, read, reads
+from service.store import ParticleFilter, Record, reads
 from service.store.particle_files import first_seq
 from service.store.retention import pin
 from service.web.auth import OPERABLE, READABLE, Who
@@ -64,10 +64,7 @@ class Pin(RequestBody):
 
 @router.get("", response_model=ParticlesPage)
 async def particles(
-    context: Context,
-    names: ChosenFields,
-    as_gzip: TakesGzip,
-    query: Annotated[ParticlesQuery, Query()],
+    context: Context, names: ChosenFields, as_gzip: TakesGzip, query: Annotated[ParticlesQuery, Query()]
 ) -> Response:
     """List the results that pass all filters, newest first, each in its newest revision.
 
@@ -76,7 +73,7 @@ async def particles(
     before_seq = MAX_SEQ if query.cursor is None else int(query.cursor)
     asked = (query, before_seq, query.limit, names, as_gzip)
     if query.limit > MAX_SMALL:
-        page = await context.reading.run(read, context.store.path, particles_page, *asked)
+        page = await context.read_beside(particles_page, *asked)
     else:
         page = await context.store.read(particles_page, *asked)
     return Response(page, media_type="application/json")
@@ -111,12 +108,11 @@ async def pin_particle(
 ) -> Response:
     """Pin or unpin a result, and return it. What was removed before does not come back."""
     seq = first_seq((await find_record(context, particle_id))["id"])
-    context.store.require_writable()
 
     def version(connection: sqlite3.Connection) -> str:
         key = int(particle_id) if particle_id.isdecimal() else particle_id
         return record_tag(existing(reads.particle(connection, key), "particle", particle_id))
 
     reason = wanted.reason if wanted.is_pinned else None
-    await context.store.write(change_if_match, if_match, version, pin, seq, reason, asking)
+    await context.write(change_if_match, if_match, version, pin, seq, reason, asking)
     return record_response(await find_record(context, particle_id))

@@ -11,7 +11,6 @@ from service.lots.routes.lots import LotName
 from service.lots.yardsticks import Request
 from service.reports.lot_reports import ReportRequest, RigStanding, lot_report
 from service.reports.report import ReportFormat
-from service.store import read
 from service.web.auth import READABLE
 from service.web.context import ApiContext, Context
 from service.web.etags import Responses
@@ -55,10 +54,7 @@ async def _report(
     context: ApiContext, lot: str, report_format: ReportFormat, language: Language, measuring: Request
 ) -> Response:
     wanted = ReportRequest(figures=measuring, language=language, rig=context.part(RigStanding))
-    store = context.store
-    content = await context.reading.run(
-        read, store.path, lot_report, store.particles_dir, lot, wanted, report_format
-    )
+    content = await context.read_beside(lot_report, context.store.particles_dir, lot, wanted, report_format)
     name = f'inline; filename="{lot}.{report_format}"'
     headers = {"Content-Disposition": name, "Vary": "Accept", "Content-Security-Policy": REPORT_POLICY}
     return Response(existing(content, "lot", lot), media_type=report_format.media_type, headers=headers)

@@ -7,7 +7,6 @@ from fastapi import APIRouter, Query
 from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, Field
 
-from service.store import read
 from service.store.audit import AuditEntry, csv_page, entries
 from service.web.auth import READABLE
 from service.web.context import ApiContext, Context
@@ -61,4 +60,4 @@ async def _pages(
 
 
 async def _page(context: ApiContext, subject: str | None, after: int) -> tuple[bytes, int | None]:
-    return await context.reading.run(read, context.store.path, csv_page, subject, after, PAGE)
+    return await context.read_beside(csv_page, subject, after, PAGE)

@@ -61,8 +61,7 @@ async def park_cursor(
         found = _find(connection, name)
         return None if found is None else _tag(found)
 
-    context.store.require_writable()
-    parked: ConsumerDocument = await context.store.write(
+    parked: ConsumerDocument = await context.write(
         change_if_match, if_match, version, park, name, cursor.after
     )
     response.headers["ETag"] = _tag(parked)
@@ -72,8 +71,7 @@ async def park_cursor(
 @router.delete("/{name}", status_code=204, response_class=Response, dependencies=OPERABLE)
 async def delete_consumer(context: Context, name: ConsumerName, asking: Who) -> None:
     """Forget a consumer: nothing is kept for it any more."""
-    context.store.require_writable()
-    is_forgotten = await context.store.write(forget, name, asking)
+    is_forgotten = await context.write(forget, name, asking)
     existing(is_forgotten or None, "consumer", repr(name))
 
 

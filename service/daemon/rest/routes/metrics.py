@@ -1,20 +1,104 @@
-"""Metrics for Prometheus."""
+"""What Prometheus reads: the state of the daemon and the counts of results as text.
+
+Names say the unit; what counts up ends in `_total` and starts again with the daemon, but the stones, which are those of
+the store. `deploy/README.md` lists them, `deploy/alerts.yml` has rules for them.
+"""
 
 import asyncio
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from importlib.metadata import version
 
 from fastapi import APIRouter, Response
+from prometheus_client import Histogram, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
 from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
+from prometheus_client.metrics_core import Metric
+from prometheus_client.registry import Collector
 
+from pipeline.views.quality import Quality
+from service.base.status import AcquisitionState, CameraOptics, CameraStatus, CheckStatus, DeviceState, Ne107
 from service.calibration.calibrations import Calibrations
-from service.daemon.rest.metrics import Snapshot, metrics_text
+from service.calibration.verifications import Verification
 from service.health.facts import Facts
+from service.results.fields import LossReason, Outcome, Verified
+from service.results.version import ALGORITHM_VERSION
+from service.store.accounting import OutcomeCounts
 from service.web.auth import READABLE
 from service.web.context import ApiContext, Context
+from service.web.version import API_VERSION
 
 router = APIRouter(prefix="/metrics", tags=["health"], dependencies=READABLE)
 
 KEEP_S = 1.0
 """For so long everybody gets the same text."""
+DELAYS_S = (0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.8, 1.0, 1.5, 2.0, 5.0, 10.0, 30.0)
+"""Limits of the histogram; 0.26 s pass before the frames of a stone are there."""
+NONE_YET = {(Outcome.MEASURED.value, "", quality.value): 0 for quality in Quality} | {
+    (Outcome.LOST.value, reason.value, ""): 0 for reason in LossReason
+}
+"""Counted from the beginning: Prometheus sees no increase in the first of a kind that was not there before."""
+SEVERITY = {CheckStatus.PASS: 0, CheckStatus.WARN: 1, CheckStatus.FAIL: 2}
+
+Values = Iterable[tuple[Sequence[str], float | None]]
+"""The values of the labels, and the value of the metric; None is left out."""
+
+CAMERA_COUNTERS: Sequence[tuple[str, str, Callable[[CameraStatus], float]]] = (
+    ("frames", "Frames that arrived complete", lambda camera: camera.frames),
+    ("frames_lost", "Frames reported lost", lambda camera: camera.lost),
+    ("frames_late", "Frames after their bundle was closed", lambda camera: camera.late),
+    ("frames_missing", "Bundles without a frame of this camera", lambda camera: camera.missing),
+    ("frames_stray", "Frames without a trigger", lambda camera: camera.strays),
+    ("packets_missing", "Packets that never came", lambda camera: camera.missing_packets),
+    ("packets_resent", "Packets that came when requested again", lambda camera: camera.resent_packets),
+    ("recoveries", "How often it came back from a loss", lambda camera: camera.recoveries),
+)
+CAMERA_GAUGES: Sequence[tuple[str, str, Callable[[CameraStatus], float | None]]] = (
+    ("armed", "1: armed, 0: closed or lost", lambda camera: camera.state is DeviceState.ARMED),
+    ("temperature_celsius", "Temperature that it reports", lambda camera: camera.temperature_c),
+    ("last_frame_age_seconds", "Since its last frame", lambda camera: camera.last_frame_age_s),
+    ("tangency_pixels", "Epipolar residual; from 0.3 it has moved", lambda camera: camera.tangency_px),
+    ("brightness_ratio", "Light, 1: clean rig", lambda camera: _optics(camera).brightness),
+    ("dust_ratio", "Share of the light lost in patches", lambda camera: _optics(camera).dust),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot(Collector):
+    """Everything that is reported, at one moment; the metrics are made of it in any thread."""
+
+    facts: Facts
+    outcomes: OutcomeCounts
+    delays: Histogram
+    verified: Verified
+    last_verification: Verification | None
+
+    def collect(self) -> Iterable[Metric]:
+        yield from _stones(self.outcomes)
+        yield from _without_created(self.delays.collect())
+        yield from _rig(self.facts)
+        yield from _cameras(self.facts.cameras)
+        yield from _health(self.facts)
+        yield from _machine(self.facts)
+        yield from _calibration(self)
+        build = {
+            "version": version("stonefall"),
+            "api_version": API_VERSION,
+            "algorithm_version": ALGORITHM_VERSION,
+        }
+        yield InfoMetricFamily("stonefall_build", "Versions of package, interface and algorithm", build)
+
+
+def result_delays() -> Histogram:
+    """Return an empty histogram of the time from a trigger to its durable outcome."""
+    return Histogram(
+        "stonefall_result_delay_seconds",
+        "From the light gate's trigger to the durable outcome",
+        registry=None,
+        buckets=DELAYS_S,
+    )
 
 
 @router.get(
@@ -40,4 +124,124 @@ async def _text(context: ApiContext) -> bytes:
         verified=calibrations.verified,
         last_verification=calibrations.verifications.last(calibrations.rig_file.calibration_id),
     )
-    return await asyncio.to_thread(metrics_text, snapshot)
+    return await asyncio.to_thread(generate_latest, snapshot)
+
+
+def _stones(outcomes: OutcomeCounts) -> Iterator[Metric]:
+    yield _counter(
+        "stones",
+        "Triggers with an outcome",
+        (NONE_YET | dict(outcomes.n)).items(),
+        labels=("outcome", "reason", "quality"),
+    )
+    yield _gauge("stones_in_progress", "Triggers without an outcome yet", _alone(outcomes.in_progress))
+
+
+def _rig(facts: Facts) -> Iterator[Metric]:
+    rig = facts.acquisition
+    yield _one_of("acquisition_state", "1 for the state of the rig", AcquisitionState, rig.state)
+    yield _gauge("gate_armed", "1: the light gate is armed", _alone(rig.gate is DeviceState.ARMED))
+    yield _gauge("cameras", "Cameras of the rig", _alone(rig.cameras))
+    yield _gauge("cameras_armed", "Cameras that are armed", _alone(rig.cameras_armed))
+    yield _gauge("last_stone_age_seconds", "Since the last stone", _alone(rig.last_stone_age_s))
+    for name, text, value in (
+        ("gate_orphans", "Stones that the gate did not announce; since the rig was armed", rig.orphans),
+        ("gate_unseen", "Stones that only the gate's counter shows; since the rig was armed", rig.unseen),
+        ("gate_ignored", "Bounces, and late announcements; since the rig was armed", rig.triggers_ignored),
+        ("frames_refused", "Frames that the daemon was too slow for", rig.events_refused),
+    ):
+        yield _counter(name, text, _alone(value))
+
+
+def _cameras(cameras: Sequence[CameraStatus]) -> Iterator[Metric]:
+    for name, text, value in CAMERA_COUNTERS:
+        values: Values = [((camera.id,), value(camera)) for camera in cameras]
+        yield _counter(f"camera_{name}", text, values, labels=("camera",))
+    for name, text, measured in CAMERA_GAUGES:
+        values = [((camera.id,), measured(camera)) for camera in cameras]
+        yield _gauge(f"camera_{name}", text, values, labels=("camera",))
+
+
+def _health(facts: Facts) -> Iterator[Metric]:
+    health = facts.health
+    yield _one_of("ne107_state", "1 for the word of NAMUR NE 107", Ne107, health.ne107)
+    yield _gauge("ready", "1: the next stone will be measured", _alone(health.ready))
+    checks = [((name,), SEVERITY[check.status]) for name, check in health.checks.items()]
+    yield _gauge("health_check", "0: passes, 1: warns, 2: fails", checks, labels=("check",))
+
+
+def _machine(facts: Facts) -> Iterator[Metric]:
+    yield _gauge("queue_bundles", "Bundles that wait for a worker", _alone(facts.waiting))
+    yield _gauge("queue_limit_bundles", "Bundles that may wait", _alone(facts.max_waiting))
+    yield _gauge("workers", "Processes that measure", _alone(facts.workers))
+    yield _gauge("workers_configured", "Processes that should", _alone(facts.slots))
+    yield _counter("worker_restarts", "Processes that were replaced", _alone(facts.worker_restarts))
+    yield _counter("archive_left_out", "Results whose frames were not archived", _alone(facts.left_out))
+    seen = facts.refinement
+    yield _gauge("refinement_supported_ratio", "Surface that pixels tell of", _alone(seen.supported_share))
+    yield _gauge("refinement_rushed_ratio", "Stones left out in a rush", _alone(seen.rushed_share))
+    yield _gauge("loop_delay_seconds", "Longest within a minute", _alone(facts.loop_ms / 1e3))
+    yield _gauge("disk_free_bytes", "Of the disk of the store", _alone(facts.free_bytes))
+    if (use := facts.retention.use) is not None:
+        kinds = {
+            "files": use.files_bytes,
+            "results": use.results_bytes,
+            "recordings": facts.retention.recordings_bytes,
+        }
+        yield _gauge(
+            "store_bytes",
+            "What the store takes",
+            [((kind,), n_bytes) for kind, n_bytes in kinds.items()],
+            labels=("kind",),
+        )
+        yield _gauge("disk_days_left", "Until the disk is full", _alone(use.days_left))
+
+
+def _calibration(snapshot: Snapshot) -> Iterator[Metric]:
+    used = snapshot.facts.calibration
+    about = {"calibration_id": used.calibration_id, "method": used.method}
+    yield InfoMetricFamily("stonefall_calibration", "The calibration in use", about)
+    yield _gauge("calibration_activated_timestamp_seconds", "Since when", _alone(_unix_s(used.used_since)))
+    yield _one_of("verification_state", "1 for what the last balls said", Verified, snapshot.verified)
+    last = snapshot.last_verification
+    if last is not None:
+        seconds = _unix_s(last.changed_at)
+        yield _gauge("verification_timestamp_seconds", "When the last one ended", _alone(seconds))
+
+
+def _one_of(name: str, text: str, states: type[StrEnum], present: StrEnum) -> Metric:
+    return _gauge(name, text, [((state,), float(state is present)) for state in states], labels=("state",))
+
+
+def _gauge(name: str, text: str, values: Values, labels: tuple[str, ...] = ()) -> Metric:
+    return _filled(GaugeMetricFamily(f"stonefall_{name}", text, labels=labels), values)
+
+
+def _counter(name: str, text: str, values: Values, labels: tuple[str, ...] = ()) -> Metric:
+    return _filled(CounterMetricFamily(f"stonefall_{name}", text, labels=labels), values)
+
+
+def _filled(family: GaugeMetricFamily | CounterMetricFamily, values: Values) -> Metric:
+    for labels, value in values:
+        if value is not None:
+            family.add_metric(labels, value)
+    return family
+
+
+def _without_created(metrics: Iterable[Metric]) -> Iterator[Metric]:
+    """Yield metrics without the time at which each was made, which says no more than the daemon's start."""
+    for metric in metrics:
+        metric.samples = [sample for sample in metric.samples if not sample.name.endswith("_created")]
+        yield metric
+
+
+def _alone(value: float | None) -> Values:
+    return [((), value)]
+
+
+def _optics(camera: CameraStatus) -> CameraOptics:
+    return camera.optics or CameraOptics()
+
+
+def _unix_s(time: str) -> float:
+    return datetime.fromisoformat(time).timestamp()
