@@ -13,7 +13,7 @@ from rich.table import Table
 from drivers.files.durable import write_file
 from service.base.errors import UsageError
 from service.commands.daemon_client import AsJson, DaemonClient
-from service.commands.options import with_options
+from service.commands.options import SizeOptions, with_options
 
 FORMATS = ("html", "pdf", "csv", "xlsx")
 OPEN = ("insufficient", "undecided")
@@ -28,26 +28,26 @@ SieveSet = Annotated[str | None, typer.Option("--sieves", help="Sieve set, in th
 
 
 @dataclass(frozen=True, slots=True)
-class ProductOptions:
+class ProductOptions(SizeOptions):
     """Options of `stonefall lots product`."""
 
-    name: Annotated[str, typer.Argument(metavar="PRODUCT", help="Name of the product.")]
-    density_kg_m3: Annotated[float, typer.Option(help="Density of the particles, EN 1097-6, kg/m3.")]
     title: Annotated[str | None, typer.Option(help="For people; the name when absent.")] = None
-    lower_mm: Annotated[float | None, typer.Option(help="d of a product d/D, mm.")] = None
-    upper_mm: Annotated[float | None, typer.Option(help="D of it, mm.")] = None
     sieve_set: SieveSet = None
-    specification: Annotated[str | None, typer.Option(help="Category or size, such as GC85-20.")] = None
     flakiness_category: Annotated[str | None, typer.Option(help="Such as FI20.")] = None
     shape_category: Annotated[str | None, typer.Option(help="Such as SI20.")] = None
 
 
 @command.command()
 @with_options
-def product(options: ProductOptions, daemon: DaemonClient, as_json: AsJson = False) -> None:
+def product(
+    name: Annotated[str, typer.Argument(metavar="PRODUCT", help="Name of the product.")],
+    density_kg_m3: Annotated[float, typer.Option(help="Density of the particles, EN 1097-6, kg/m3.")],
+    options: ProductOptions,
+    daemon: DaemonClient,
+    as_json: AsJson = False,
+) -> None:
     """Define a product, or change it: a change is a new version, and lots keep theirs."""
-    name = options.name
-    wanted = {**asdict(options), "name": None, "title": options.title or name}
+    wanted = {**asdict(options), "density_kg_m3": density_kg_m3, "title": options.title or name}
     saved = daemon.ask(f"/products/{quote(name)}", wanted, method="PUT")
     typer.echo(json.dumps(saved) if as_json else f"product {name}, version {saved['version']}")
 

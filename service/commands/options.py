@@ -1,7 +1,7 @@
 """Options that commands share, and commands whose options are the fields of dataclasses."""
 
 from collections.abc import Callable
-from dataclasses import is_dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
@@ -12,6 +12,15 @@ import typer
 Config = Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")]
 DaemonConfig = Annotated[Path, typer.Option("--config", help="TOML file of the daemon.")]
 Parameters = TypeVar("Parameters", bound=Any)
+
+
+@dataclass(frozen=True, slots=True)
+class SizeOptions:
+    """Options on the sizes of a product and what they must be."""
+
+    lower_mm: Annotated[float | None, typer.Option(help="d of a product d/D, mm.")] = None
+    upper_mm: Annotated[float | None, typer.Option(help="D of it, mm.")] = None
+    specification: Annotated[str | None, typer.Option(help="Category or size, such as GC85-20.")] = None
 
 
 def changed(parameters: Parameters, **options: Any) -> Parameters:

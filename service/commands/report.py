@@ -11,7 +11,7 @@ from drivers.files.durable import write_file
 from drivers.files.times import utc_now
 from service.base.errors import ServiceError, UsageError
 from service.base.language import Language
-from service.commands.options import with_options
+from service.commands.options import SizeOptions, with_options
 from service.commands.results_folder import read_results
 from service.lots.evaluation import figures_of
 from service.lots.products import Product
@@ -23,15 +23,12 @@ from service.web.version import API_VERSION
 
 
 @dataclass(frozen=True, slots=True)
-class ProductOptions:
+class ReportedProduct(SizeOptions):
     """Options of `stonefall report` that define the product."""
 
     title: Annotated[str, typer.Option(help="Name of the product.")] = "offline results"
     density_kg_m3: Annotated[float, typer.Option(help="Density of the particles, kg/m3.")] = 2700.0
-    lower_mm: Annotated[float | None, typer.Option(help="d of a product d/D, mm.")] = None
-    upper_mm: Annotated[float | None, typer.Option(help="D of it, mm.")] = None
     sieve_set: Annotated[str, typer.Option("--sieves", help="Name of a sieve set.")] = "stonefall"
-    specification: Annotated[str | None, typer.Option(help="Category or size, such as GC85-20.")] = None
 
 
 @with_options
@@ -40,7 +37,7 @@ def command(
         Path, typer.Argument(metavar="RESULTS", help="Folder that `stonefall measure` wrote.")
     ],
     out: Annotated[Path, typer.Option(help="Folder for report.html, .pdf, .csv and .xlsx.")],
-    product: ProductOptions,
+    product: ReportedProduct,
     language: Annotated[Language, typer.Option(help="Language of the report.")] = Language.ENGLISH,
 ) -> None:
     """Write the report of measured results: curve with its interval, indices, verdict, accounting."""
