@@ -9,6 +9,7 @@ from math import isfinite
 from pathlib import Path
 
 from pipeline.gradation.estimates import Estimate
+from service.base.figure_names import figure_names
 from service.base.language import Language
 from service.reports.texts import LONGEST_HEADING, abridged
 
@@ -76,4 +77,4 @@ def words(language: Language) -> Words:
     texts = {
         f"{section}.{name}": text for section, entries in document.items() for name, text in entries.items()
     }
-    return Words(language=language, texts=texts)
+    return Words(language=language, texts={**texts, **figure_names(language)})

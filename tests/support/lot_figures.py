@@ -53,7 +53,7 @@ def measured(value: float, standard_error: float = 1.0, state: State = State.MEA
 def decision(
     verdict: Verdict, low: float, high: float, more_stones: int | None = None, more_s: float | None = None
 ) -> Decision:
-    limits = Range(min_percent=low, max_percent=high)
+    limits = Range(min_percent=float(low), max_percent=float(high))
     return Decision(verdict=verdict, limits=limits, more_stones=more_stones, more_s=more_s)
 
 

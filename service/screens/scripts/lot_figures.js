@@ -1,7 +1,7 @@
 /** A lot's curve, whose steps can be chosen, and its figures, also as they would be had some stones not fallen. */
 
 import { figureCell, html, rowHead, show, svgFromServer, table } from "./dom.js";
-import { number, quantity, sieve, word } from "./words.js";
+import { family, number, quantity, sieve, word } from "./words.js";
 
 /**
  * Show a curve in `place`, with a button over each step that calls `choose` with its upper sieve; `text` is the drawing
@@ -36,8 +36,7 @@ export function showFigures(place, all, without, sieveMm) {
   const text = (name, of) => [rowHead(name), ...columns.map(of)];
   const rows = [
     figure("D50", "mm", 2, ({ quantiles }) => quantiles.find(({ percent }) => percent === 50).interpolated_mm),
-    figure(word("gallery.flakiness"), "%", 1, ({ indices }) => indices.flakiness_percent),
-    figure(word("gallery.shape-index"), "%", 1, ({ indices }) => indices.shape_percent),
+    ...family("index").map((name) => figure(word(`index.${name}`), "", name.endsWith("_percent") ? 1 : 2, ({ indices }) => indices[name])),
     ...(sieveMm === null ? [] : [figure(word("gallery.passing", { sieve: sieve(sieveMm) }), "%", 1, (figures) => passing(figures, sieveMm))]),
     text(word("gallery.measured"), ({ measured }) => number(measured)),
     text(word("gallery.verdict"), ({ verdict }) => word(`verdict.${verdict ?? "none"}`)),

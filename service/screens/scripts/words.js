@@ -35,6 +35,9 @@ export function word(key, values = {}) {
 /** Return the words of a key, `other` where there are none. */
 export const wordOr = (key, other) => words[key] ?? other;
 
+/** Return the names that a family of words is of, in their order. */
+export const family = (prefix) => Object.keys(words).filter((key) => key.startsWith(`${prefix}.`)).map((key) => key.slice(prefix.length + 1));
+
 /** Return a number with so many digits after the point, a dash for none. */
 export function number(value, digits = 0) {
   if (value === null || value === undefined) return "–";

@@ -19,6 +19,8 @@ from fastapi.responses import Response
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from service import screens
+from service.base.figure_names import figure_names
+from service.base.language import Language
 from service.web.etags import unchanged
 from service.web.gzipped import TakesGzip
 
@@ -94,6 +96,9 @@ def installed_screens() -> Screens:
     contents = dict(_read(folder))
     packages = sorted({path.split("/")[1] for path in contents if path.startswith("packages/")})
     contents[PACKAGES] = json.dumps(packages).encode()
+    for language in Language:
+        words = json.loads(contents[path := f"words/{language}.json"])
+        contents[path] = json.dumps({**words, **figure_names(language)}, ensure_ascii=False).encode()
     digest = hashlib.sha256(repr(PAGES).encode())
     for path, content in contents.items():
         digest.update(f"{path}\0{len(content)}\0".encode() + content)
