@@ -100,7 +100,7 @@ def _restore(source: Path, state_dir: Path, *, any_audit: bool) -> str:
                 _require_own_audit(source, connection, state_dir)
             beyond, database = 0, state_dir / history.DATABASE
             if database.exists():
-                history.keep_keys(connection, database)
+                history.keep_keys(connection, state_dir, database)
             # but if there is none, or it cannot be read
             with suppress(sqlite3.Error, TypeError, ValueError), schema.connect_reader(database) as former:
                 beyond = int(former.execute("SELECT last_seq FROM store").fetchone()[0])

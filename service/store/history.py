@@ -29,6 +29,8 @@ DATABASE, PARTICLES, BACKUPS = "results.sqlite", "particles", "backups"
 RESTORED = f"{DATABASE}.restored"
 """Copy that is completed to take the place of the database."""
 ACKNOWLEDGED = "acknowledged"
+HAS_KEYS = "has-keys"
+"""File that says that there is, or was, a key: if the database is damaged, nothing is open without one."""
 DAY = re.compile(r"\d{4}-\d\d-\d\d")
 MET = "damage-met"
 """File that says that the last daemon has met damage of the database."""
@@ -86,10 +88,10 @@ def open_history(state_dir: Path) -> None:
                 aside.explain(folder, f"The audit of the database {lacking}")
                 (state_dir / audit.DIGESTS).rename(folder / audit.DIGESTS)
         audit.keep_digests(connection, state_dir, n_kept)
-        if is_new and folder is not None:
-            keep_keys(connection, folder / DATABASE)
-        elif is_new:
-            connection.execute("UPDATE store SET keys_lost = 0")
+        if is_new:
+            keep_keys(connection, state_dir, None if folder is None else folder / DATABASE)
+        elif connection.execute("SELECT EXISTS (SELECT 1 FROM keys)").fetchone()[0]:
+            (state_dir / HAS_KEYS).touch()  # of a copy that was put here
         instance_id, last_seq = connection.execute("SELECT instance_id, last_seq FROM store").fetchone()
     # the folder of the next result, which a crash left without its row, under any day
     name, particles_dir = particle_id(instance_id, last_seq + 1), state_dir / PARTICLES
@@ -146,14 +148,15 @@ def renumber(
     return instance_id, highest
 
 
-def keep_keys(connection: sqlite3.Connection, former: Path) -> None:
+def keep_keys(connection: sqlite3.Connection, state_dir: Path, former: Path | None) -> None:
     """Take the keys from the database whose place another one takes; note that they are lost where they cannot be read.
 
-    The keys of a copy are used only then. Sessions of browsers end, as some may have been ended since the copy.
+    Where none was ever made, none is lost. The keys of a copy are used only then. Sessions of browsers end, as some may
+    have been ended since the copy.
     """
     connection.execute("DELETE FROM browser_sessions")
-    connection.execute("UPDATE store SET keys_lost = 1")
-    if not former.is_file():  # a pipe would wait for a writer
+    connection.execute("UPDATE store SET keys_lost = ?", ((state_dir / HAS_KEYS).exists(),))
+    if former is None or not former.is_file():  # a pipe would wait for a writer
         return
     # whatever a damaged database raises
     with suppress(Exception), schema.connect_reader(former) as reader, schema.transaction(connection):

@@ -23,7 +23,7 @@ from drivers.files.times import utc_now
 from service.base.errors import StoreError
 from service.base.schema import GivenTime
 from service.store import audit
-from service.store.history import DATABASE
+from service.store.history import DATABASE, HAS_KEYS
 from service.store.schema import connect, newest_version, read, transaction
 from service.store.store import open_store
 
@@ -111,6 +111,7 @@ def create_key(
             if dead is None:
                 raise StoreError(f"{state_dir}: has {MAX_KEYS} keys: revoke old ones")
             connection.execute("DELETE FROM keys WHERE sha256 = ?", (dead.sha256,))
+        (state_dir / HAS_KEYS).touch()
         _insert(connection, key)
         audit.note(connection, f"stonefall keys of {by}", "key created", name, after=key.facts)
     return key, token
@@ -140,6 +141,7 @@ def take_over(connection: sqlite3.Connection, state_dir: Path) -> str | None:
     path = state_dir / FILE
     if not path.exists():
         return None
+    (state_dir / HAS_KEYS).touch()
     try:
         new = [asdict(key) for key in keys_of_file(path) if _insert(connection, key)]
         if new:

@@ -221,11 +221,10 @@ class DaemonProcess:
 
 def descendants_of(pid: int) -> list[int]:
     """Child processes and theirs, none if the process is gone."""
-    try:
-        threads = list(Path(f"/proc/{pid}/task").iterdir())  # each has the children that it started
-        children = [int(child) for each in threads for child in (each / "children").read_text().split()]
-    except (FileNotFoundError, ProcessLookupError):
-        return []
+    children: list[int] = []
+    for thread in Path(f"/proc/{pid}/task").glob("*/children"):  # each has the children that it started
+        with suppress(FileNotFoundError, ProcessLookupError):  # it may end meanwhile
+            children += map(int, thread.read_text().split())
     return children + [theirs for child in children for theirs in descendants_of(child)]
 
 

@@ -119,7 +119,7 @@ def shaped_lot(n: int, sd_mm: float, rng: np.random.Generator) -> Lot:
 def test_intervals_of_the_shape_indices_hold_the_truth(sd_mm: float) -> None:
     rng, n_lots = np.random.default_rng(23), 600
     truth = evaluate(shaped_lot(300_000, 0.0, rng), ()).indices
-    held = {"flakiness": 0, "shape": 0}
+    held = {"flakiness_percent": 0, "shape_percent": 0}
     for _ in range(n_lots):
         found = evaluate(shaped_lot(300, sd_mm, rng), ()).indices
         for name in held:

@@ -81,6 +81,14 @@ def test_keys_that_are_lost_open_nothing_until_there_is_one(keyed: Path, tmp_pat
     assert states(keyed) == {"mes": True, "lab": True, "new": True}
 
 
+def test_a_damaged_store_that_never_had_a_key_has_lost_none(state_dir: Path) -> None:
+    restart(state_dir)
+    damage(state_dir, "keys")
+    restart(state_dir)
+    assert list(state_dir.glob("aside/*-damaged"))
+    assert stored_keys(state_dir) == []
+
+
 def test_a_database_that_was_removed_may_have_had_keys(keyed: Path) -> None:
     (keyed / DATABASE).unlink()
     restart(keyed)
