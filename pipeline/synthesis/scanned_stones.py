@@ -22,7 +22,7 @@ SIZES_MM = (9.0, 31.0)
 N_DENTS = (3, 6)
 DENT_DEPTHS_MM = (1.0, 3.0)
 MAX_DEPTH = 0.12
-"""Of a dent, relative to the stone's size: a small stone has no deep ones."""
+"""Depth of a dent relative to the stone's size, at most: a small stone has no deep ones."""
 DENT_WIDTH = (1.0, 2.2)
 """Radius of a dent relative to its depth: its flanks are steep."""
 RIDGE_MM, RIDGE_HEIGHT_MM = 5.0, 0.25

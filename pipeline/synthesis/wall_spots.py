@@ -12,16 +12,16 @@ from pipeline.arrays import Directions, Floats, Values, Vector
 N_SPOTS = 760
 """About eight in a field of view, with vents of several slots each."""
 GREYS = (0.3, 0.75)
-"""Of a spot's middle, relative to the wall around it."""
+"""Grey of a spot's middle, relative to the wall around it."""
 BLUR_RADIUS_MM = 6.25
-"""Of the blur's disc on the far wall: that of the aperture of a lens of 25 mm at F2.0, focused halfway."""
+"""Radius of the blur's disc on the far wall: that of the aperture of a lens of 25 mm at F2.0, focused halfway."""
 SCREW_RADII_MM, SMUDGE_RADII_MM = (4.5, 8.0), (8.0, 20.0)
 SCREW_SOFTNESS_MM = 0.8
 SMUDGE_SOFTNESS = 0.8
 """Width of a smudge's border, relative to its radius."""
 VENT_SLOTS, SLOT_RADIUS_MM, SLOT_SPACING_MM = 4, 4.5, 7.0
 SHARES = (0.5, 0.2)
-"""Of screws and of vents among the spots; the rest are smudges."""
+"""Shares of screws and of vents among the spots; the rest are smudges."""
 DARKEST = 0.03
 """Least reflectance, relative to the wall."""
 ONE_SPOT_RADIUS_MM, ONE_SPOT_GREY = 9.0, 0.58

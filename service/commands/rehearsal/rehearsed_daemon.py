@@ -146,4 +146,4 @@ def follow_file(path: Path) -> None:
     for name, module in list(sys.modules.items()):
         is_ours = name.startswith(("service.", "drivers.")) and name != __name__
         if is_ours and getattr(module, "datetime", None) is datetime:
-            module.datetime = Datetime  # type: ignore[attr-defined]
+            module.datetime = Datetime  # type: ignore[attr-defined]  # a module, which has it by the line above
