@@ -2,9 +2,9 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple, dataclass, field, fields, replace
+from dataclasses import MISSING, astuple, dataclass, field, fields, replace
 from enum import StrEnum
-from math import pi
+from math import isfinite, isnan, nan, pi
 from types import MappingProxyType
 
 import numpy as np
@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Floats, Values
 from pipeline.schema import SCHEMA
+
+UNKNOWN = nan
+"""Default of a measure of `Stone` that stones of earlier versions lack: a figure leaves out those without it."""
 
 
 class Fate(StrEnum):
@@ -44,7 +47,9 @@ class Stone:
     def __post_init__(self) -> None:
         for name in MEASURES:
             value = getattr(self, name)
-            if not np.isfinite(value) or value < 0 or (value == 0 and name not in DEVIATIONS):
+            if name in OPTIONAL and isnan(value):
+                continue
+            if not isfinite(value) or value < 0 or (value == 0 and name in REQUIRED):
                 raise ValueError(f"{name} of a stone must be positive, not {value!r}")
 
 
@@ -59,7 +64,13 @@ class UnmeasuredStone:
 
 MEASURES = tuple(item.name for item in fields(Stone) if item.name != "quality")
 """The numbers of a stone, in the order of the columns of `Lot`."""
-DEVIATIONS = tuple(name for name in MEASURES if "_sd" in name)
+REQUIRED = tuple(item.name for item in fields(Stone) if item.default is MISSING)
+"""Measures that every stone has."""
+OPTIONAL = tuple(item.name for item in fields(Stone) if item.default is UNKNOWN)
+"""Measures that a stone may lack."""
+DEVIATIONS = tuple(name for name in MEASURES if name not in (*REQUIRED, *OPTIONAL))
+POWERS_OF_LENGTH = {"mm": 1, "mm2": 2, "mm3": 3}
+"""Power of the lengths that a measure grows with, by the unit that ends its name; others are ratios."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,7 +110,7 @@ class Lot:
 
     def scaled(self, factor: float) -> "Lot":
         """Return the lot as an instrument sees it whose lengths are larger by `factor`."""
-        powers = [3 if name == "volume_mm3" else 0 if name == "volume_sd" else 1 for name in MEASURES]
+        powers = [POWERS_OF_LENGTH.get(name.rpartition("_")[2], 0) for name in MEASURES]
         return replace(self, measures=self.measures * factor ** np.array(powers)[:, None])
 
     def without_errors(self) -> "Lot":

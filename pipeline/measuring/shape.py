@@ -48,7 +48,7 @@ class ZinggClass(StrEnum):
 class ShapeMeasurement:
     """Sizes and form factors of one closed mesh; field names are those of the result record.
 
-    a >= b >= c are the edges of the box of least volume, `min_box_mm`.
+    V and A are volume and area of the mesh, a >= b >= c the edges of the box of least volume, `min_box_mm`.
     """
 
     volume_mm3: float
@@ -64,7 +64,8 @@ class ShapeMeasurement:
     thickness_mm: float
     """Thickness, mm: the dimension perpendicular to length and width (ASTM D4791)."""
     max_feret_mm: float
-    """Maximum Feret diameter, mm: the greatest distance between two parallel tangent planes (L of EN 933-4)."""
+    """Maximum Feret diameter, mm: the greatest distance between two parallel tangent planes (L of EN 933-4, JTG
+    3432)."""
     min_feret_mm: float
     """Minimum Feret diameter, mm: the least distance between two parallel tangent planes (E of EN 933-4); of a bar
     sieve, the narrowest slot that the stone passes (EN 933-3)."""
@@ -74,7 +75,7 @@ class ShapeMeasurement:
     """Sieve size, mm: the smallest square aperture that the stone passes by translation, in its best orientation
     (sieves of EN 933-2, ISO 3310-2)."""
     equivalent_diameter_mm: float
-    """Diameter of the sphere of equal volume, mm: (6 V / pi)^(1/3)."""
+    """Diameter of the sphere of equal volume, mm: (6 V / pi)^(1/3); in a result of the corrected volume."""
     sphericity: float
     """True sphericity (Wadell 1935), 0..1: surface of the sphere of equal volume over the stone's,
     pi^(1/3) (6 V)^(2/3) / A."""

@@ -39,7 +39,7 @@ from service.configuration.segmentation_settings import SegmentationSettings, pl
 from service.configuration.settings import load_settings
 from service.lots.evaluation import figures_of
 from service.lots.standards import read_standards
-from service.lots.stones import lot_of_records, stones_in
+from service.lots.stones import stones_in
 from service.lots.yardsticks import Request
 from service.processing.measure_job import RigFile, WorkerContext
 from service.processing.segmenters import SegmenterPlan
@@ -187,7 +187,7 @@ def command(options: MeasureOptions) -> None:
 
 def _gradation(records: list[dict[str, Any]], rig: RigCalibration) -> dict[str, Any]:
     """Return the gradation, and before it the curve of all measured stones, of any size."""
-    lot, sieves = lot_of_records(records), read_standards().sieve_sets[SIEVE_SET]
+    lot, sieves = stones_in(records).lot, read_standards().sieve_sets[SIEVE_SET]
     counted = evaluate(lot, sieves.apertures_mm, measured=ALL_SIZES)
     found = asdict(evaluate(lot, sieves.apertures_mm, scale_sd=(rig.length_sd_percent or 0.0) / 100))
     unmeasured = found["unmeasured"]

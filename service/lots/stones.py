@@ -10,13 +10,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
 from operator import itemgetter
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from pipeline.arrays import Values
 from pipeline.frames import BundleKind
-from pipeline.gradation.stones import DEVIATIONS, MEASURES, Fate, Lot, Stone, UnmeasuredStone, lot_of
+from pipeline.gradation.stones import MEASURES, OPTIONAL, REQUIRED, Fate, Lot, Stone, UnmeasuredStone, lot_of
 from service.base.errors import InvalidRequestError
 from service.base.schema import ANSWER, Time
 from service.results.fields import INDEXED_FIELDS
@@ -26,14 +26,12 @@ from service.store.writes import IS_REPLAY
 
 SURFACES = sqrt(2.0)
 """Standard deviation of a distance between two surfaces by that of one: their errors are taken for independent."""
-SIZES = tuple(name for name in MEASURES if name not in DEVIATIONS)
-"""Fields that every measured stone has."""
-MEASURED_COLUMNS = (*SIZES, "volume_sd_percent", "surface_sd_mm")
+MEASURED_COLUMNS = (*REQUIRED, *OPTIONAL, "volume_sd_percent", "surface_sd_mm")
 """Fields of a measured stone that a gradation needs, in the order of `lot_of_columns`."""
 COLUMNS = ("id", "n_stones", *INDEXED_FIELDS)
-SIZES_OF = itemgetter(*SIZES)
+REQUIRED_OF = itemgetter(*REQUIRED)
 BODY = itemgetter("body", "refinement_fallback")
-
+Number = TypeVar("Number", float, Values)
 
 FELL = ("stones", "captured_at")
 RECORDED = ("stones JOIN results USING (seq)", "json_extract(record, '$.recorded_at')")
@@ -196,7 +194,7 @@ def stones_in(records: Sequence[Mapping[str, Any]]) -> Stones:
     times = [record["captured_at"] for record in records if record["captured_at"] is not None]
     incomplete = UnmeasuredStone(fate=Fate.REJECTED, reason="incomplete")  # of a version that measured less
     stones = [
-        incomplete if record["outcome"] == Fate.MEASURED and None in SIZES_OF(record) else stone_of(record)
+        incomplete if record["outcome"] == Fate.MEASURED and None in REQUIRED_OF(record) else stone_of(record)
         for record in records
     ]
     measured = [record for record, stone in zip(records, stones, strict=True) if isinstance(stone, Stone)]
@@ -230,35 +228,28 @@ def stone_of(record: Mapping[str, Any]) -> Stone | UnmeasuredStone:
     fate = Fate(record["outcome"])
     if fate is not Fate.MEASURED:
         return UnmeasuredStone(fate=fate, reason=record["reason"], n_stones=record.get("n_stones") or 1)
-    size_sd_mm = SURFACES * (record["surface_sd_mm"] or 0.0)
-    return Stone(
-        **{name: record[name] for name in SIZES},
-        volume_sd=(record["volume_sd_percent"] or 0.0) / 100,
-        sieve_size_sd_mm=size_sd_mm,
-        feret_sd_mm=size_sd_mm,
-        quality=record["quality"],
-    )
+    known = {name: record[name] for name in (*REQUIRED, *OPTIONAL) if record.get(name) is not None}
+    deviations = _deviations(record["volume_sd_percent"] or 0.0, record["surface_sd_mm"] or 0.0)
+    return Stone(**known, **deviations, quality=record["quality"])
 
 
-def lot_of_records(records: Iterable[Mapping[str, Any]]) -> Lot:
-    """Return the lot of all stones in these records; balls are none."""
-    return lot_of(stone_of(record) for record in records if record["kind"] != BundleKind.BALL)
+def _deviations(volume_sd_percent: Number, surface_sd_mm: Number) -> dict[str, Number]:
+    size_sd_mm = SURFACES * surface_sd_mm
+    return {
+        "volume_sd": volume_sd_percent / 100,
+        "sieve_size_sd_mm": size_sd_mm,
+        "feret_sd_mm": size_sd_mm,
+    }
 
 
 def lot_of_columns(rows: Sequence[Sequence[float | None]]) -> Lot:
     """Return the lot of many measured stones, each a row of `MEASURED_COLUMNS`, in their order.
 
-    Stones that lack a measure, as those of a version that measured less, are left out.
+    Stones that lack a required measure, as those of a version that measured less, are left out.
     """
     columns = np.array(rows, float).reshape(-1, len(MEASURED_COLUMNS)).T
-    columns = columns[:, np.all(columns[:-2] > 0, axis=0)]
-    volume_sd, surface_sd_mm = np.nan_to_num(columns[-2]) / 100, np.nan_to_num(columns[-1])
-    deviations = {
-        "volume_sd": volume_sd,
-        "sieve_size_sd_mm": SURFACES * surface_sd_mm,
-        "feret_sd_mm": SURFACES * surface_sd_mm,
-    }
-    measures = dict(zip(MEASURED_COLUMNS, columns, strict=True)) | deviations
+    columns = columns[:, np.all(columns[: len(REQUIRED)] > 0, axis=0)]
+    measures = dict(zip(MEASURED_COLUMNS, columns, strict=True)) | _deviations(*np.nan_to_num(columns[-2:]))
     return Lot(measures=np.array([measures[name] for name in MEASURES]))
 
 

@@ -1,9 +1,9 @@
 """The fields of a result, each defined once: name, type, unit, definition, and value when unknown.
 
 The records in `results.jsonl` and in the store, the schema of the REST interface, the tables of the commands and the
-list in `service/web/README.md` follow from `Result`; definitions and standards are in `pipeline/README.md`. A measured
-field has the name of the attribute of `pipeline.particle.ParticleMeasurement` or `pipeline.measuring.ShapeMeasurement`
-that it is read from.
+list in `service/web/README.md` follow from `Result`. A measured field has the name of the attribute of
+`pipeline.particle.ParticleMeasurement` or `pipeline.measuring.ShapeMeasurement` that it is read from, where its
+definition and standard are.
 """
 
 from collections.abc import Mapping

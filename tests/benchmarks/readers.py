@@ -44,7 +44,7 @@ from support.stores import folder_of
 from support.usage import cpu_s, pss_mb
 
 from drivers.files.recording import open_recording
-from pipeline.gradation.stones import DEVIATIONS, MEASURES
+from pipeline.gradation.stones import REQUIRED
 from pipeline.synthesis.bundles import TRIGGER_DELAY_NS
 from service.results.fields import STORED_FIELDS
 from service.results.record import result_of
@@ -182,7 +182,7 @@ async def fill(state: Path, n_stones: int) -> None:
         scales = np.random.default_rng(SEED).lognormal(0.0, 0.2, n_stones)
         for number, scale in enumerate(scales):
             fields = {name: value for name, value in record.items() if name not in STORED_FIELDS}
-            lengths = [name for name in MEASURES if name.endswith("_mm") and name not in DEVIATIONS]
+            lengths = [name for name in REQUIRED if name.endswith("_mm")]
             fields |= {name: scale * fields[name] for name in lengths}
             fields["volume_mm3"] *= scale**3
             files = {}

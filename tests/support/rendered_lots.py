@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from pipeline.evaluation.scene import EvaluationScene, build_scene
 from pipeline.fall import Fall
 from pipeline.frames import CameraId, FrameBundle
-from pipeline.gradation.stones import DEVIATIONS, MEASURES, Stone, UnmeasuredStone
+from pipeline.gradation.stones import OPTIONAL, REQUIRED, Stone, UnmeasuredStone
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.particle import BodyKind, BodyParameters, ParticleResult, PipelineParameters, measure_bundle
 from pipeline.segmentation import Segmenter
@@ -74,7 +74,7 @@ class Row:
 
 def true_stone(shape: ShapeMeasurement) -> Stone:
     """Return the stone that a perfect measurement finds."""
-    return Stone(**{name: getattr(shape, name) for name in MEASURES if name not in DEVIATIONS})
+    return Stone(**{name: getattr(shape, name) for name in (*REQUIRED, *OPTIONAL)})
 
 
 def body(number: int, seed: int) -> tuple[Body, Stone]:

@@ -1,5 +1,8 @@
 """Vectors F1 and F2 of the domain notes; F3 is with `test_d4791`."""
 
+from contextlib import nullcontext
+from math import nan
+
 import pytest
 from support.stones import box, round_stone
 
@@ -7,7 +10,7 @@ from pipeline.gradation.estimates import State
 from pipeline.gradation.evaluation import evaluate
 from pipeline.gradation.indices import Indices
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
-from pipeline.gradation.stones import Stone, lot_of
+from pipeline.gradation.stones import MEASURES, OPTIONAL, Stone, lot_of
 
 F1 = [
     box((9.0, 19.0, 40.0), 19.0),
@@ -52,3 +55,15 @@ def test_a_stone_near_the_slot_is_flaky_with_a_probability() -> None:
 def test_too_few_particles_are_insufficient() -> None:
     assert indices([round_stone(10.0)] * 99).needle_flaky_percent.state is State.INSUFFICIENT
     assert indices([round_stone(10.0)] * 100).needle_flaky_percent.state is State.MEASURED
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_a_stone_lacks_no_measure_but_an_optional_one(name: str) -> None:
+    with nullcontext() if name in OPTIONAL else pytest.raises(ValueError, match=name):
+        round_stone(10.0, **{name: nan})
+
+
+def test_a_scale_of_lengths_changes_each_measure_by_its_unit() -> None:
+    lot = lot_of([round_stone(10.0, 500.0, volume_sd=0.01, feret_sd_mm=0.1)]).scaled(2.0)
+    names = ("volume_mm3", "length_mm", "volume_sd", "feret_sd_mm")
+    assert [lot.column(name)[0] for name in names] == [4000.0, 20.0, 0.01, 0.2]

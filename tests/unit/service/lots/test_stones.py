@@ -2,10 +2,11 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 
-from pipeline.gradation.stones import Fate
-from service.lots.stones import lot_of_records
+from pipeline.gradation.stones import REQUIRED, Fate, Lot
+from service.lots.stones import MEASURED_COLUMNS, lot_of_columns, stones_in
 from service.results.fields import EMPTY
 
 RECORD: dict[str, Any] = EMPTY | {
@@ -24,6 +25,10 @@ RECORD: dict[str, Any] = EMPTY | {
 }
 
 
+def lot_of_records(records: list[dict[str, Any]]) -> Lot:
+    return stones_in(records).lot
+
+
 def test_measures_and_their_errors() -> None:
     lot = lot_of_records([RECORD])
     assert lot.counts == {(Fate.MEASURED, "reduced"): 1}
@@ -34,6 +39,15 @@ def test_measures_and_their_errors() -> None:
 def test_results_of_versions_without_uncertainty_have_no_errors() -> None:
     lot = lot_of_records([RECORD | {"volume_sd_percent": None, "surface_sd_mm": None}])
     assert lot.column("volume_sd") == lot.column("sieve_size_sd_mm") == [0.0]
+
+
+@pytest.mark.parametrize("name", MEASURED_COLUMNS)
+def test_results_of_versions_that_measured_less_are_left_out_for_a_required_measure_only(name: str) -> None:
+    record = RECORD | {name: None}
+    lot = lot_of_records([record])
+    assert lot.n_measured == (name not in REQUIRED)
+    columns = lot_of_columns([[record[column] for column in MEASURED_COLUMNS]])
+    np.testing.assert_array_equal(columns.measures, lot.measures)
 
 
 def test_what_was_not_measured_counts_and_balls_do_not() -> None:

@@ -1,8 +1,10 @@
 """The list of result fields in the guide is the program's."""
 
+from dataclasses import fields
 from pathlib import Path
 
-from service.results.fields import Result
+from pipeline.measuring import ShapeMeasurement
+from service.results.fields import MEASURED_FIELDS, Result
 from service.results.table import BEGIN, END, fields_table
 
 GUIDE = Path(__file__).parents[4] / "service" / "web" / "README.md"
@@ -22,3 +24,7 @@ def test_every_field_has_a_row_and_says_when_it_is_null() -> None:
     assert [name for name in null_of if "." not in name] == list(Result.model_fields)
     assert (null_of["seq"], null_of["reason"], null_of["volume_mm3"]) == ("no", "yes", "unless measured")
     assert (null_of["hull.volume_mm3"], null_of["optics.<camera>.contrast"]) == ("no", "yes")
+
+
+def test_every_measure_of_the_shape_is_a_field() -> None:
+    assert {field.name for field in fields(ShapeMeasurement)} <= set(MEASURED_FIELDS)
