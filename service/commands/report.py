@@ -17,7 +17,7 @@ from service.lots.evaluation import figures_of
 from service.lots.products import Product
 from service.lots.stones import stones_in
 from service.lots.yardsticks import Request, UnknownYardstickError
-from service.reports.render import render
+from service.reports.lot_reports import RENDERERS
 from service.reports.report import ReportData, ReportFormat
 from service.web.version import API_VERSION
 
@@ -56,7 +56,7 @@ def command(
     try:
         out.mkdir(parents=True, exist_ok=True)
         for report_format in ReportFormat:
-            write_file(out / f"report.{report_format}", render(data, report_format))
+            write_file(out / f"report.{report_format}", RENDERERS[report_format](data))
     except OSError as err:
         raise ServiceError(f"--out {out}: {err.strerror}") from err
     verdict = "" if figures.verdict is None else f": {figures.verdict.replace('_', ' ')}"

@@ -9,8 +9,7 @@ from service.delivery.settings import DropFormat, FileDropSettings
 from service.lots.shifts import LotsSettings
 from service.lots.yardsticks import Request
 from service.processing.worker_process import worker_boundary
-from service.reports.lot_reports import ReportRequest, RigStanding, report_data
-from service.reports.render import render
+from service.reports.lot_reports import RENDERERS, ReportRequest, RigStanding, report_data
 from service.reports.report import ReportFormat
 from service.store import Store
 from service.store.schema import connect_reader
@@ -54,7 +53,7 @@ def lot_files(
             content = {
                 each: data.figures.model_dump_json().encode()
                 if each is DropFormat.JSON
-                else render(data, ReportFormat(each))
+                else RENDERERS[ReportFormat(each)](data)
                 for each in formats
             }
             return LotFiles(revision=data.figures.lot.revision, content=content)

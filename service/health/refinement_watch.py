@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from statistics import median
 
 from service.base.status import Checks, trouble_check
-from service.results.fields import Result
-from service.results.refinement import RUSH
+from service.results.fields import RUSH, Result
 
 WINDOW = 100
 """Latest stones that are judged; nothing is said before there are so many."""

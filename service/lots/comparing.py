@@ -1,8 +1,13 @@
-"""Compare two lots, or one lot as two algorithm versions measured it: each figure, and by how much it differs."""
+"""Compare two lots, or one lot as two algorithm versions measured it: each figure, and by how much it differs.
+
+Repeated runs of one sample are compared by repeatability and reproducibility (ISO 5725-2).
+"""
 
 import sqlite3
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from http import HTTPStatus
 from typing import Any
 
 from pydantic import Field
@@ -11,11 +16,14 @@ from pipeline.gradation.curve import PERCENTS, passes
 from pipeline.gradation.differences import Difference, difference_of_lots, difference_of_versions, significant
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.influences import Influences, share_influences, size_influences
+from pipeline.gradation.repeatability import Repeatability, repeatability
 from pipeline.gradation.sieves import MeasuredRange
+from service.base.errors import ProblemError, ProblemKind
+from service.base.schema import ANSWER
 from service.base.status import Report
 from service.lots.evaluation import figures_of
 from service.lots.figures import SHARES, LotFigures, named_figures
-from service.lots.lots import find_lot
+from service.lots.lots import LotDocument, LotState, find_lot, lots_of_sample
 from service.lots.products import find_product
 from service.lots.stones import Choice, Stones, stones_of_lot
 from service.lots.yardsticks import Request
@@ -86,21 +94,16 @@ def compare_lots(connection: sqlite3.Connection, a: Side, b: Side, request: Requ
     ]
     found = [figures_of(each, request, product, record) for each in stones]
     is_paired = a.lot == b.lot
+    first, second = (
+        ComparedSide(**asdict(side), measured=each.measured, calibration_ids=each.calibration_ids)
+        for side, each in zip((a, b), found, strict=True)
+    )
     return LotComparison(
-        a=_side(a, found[0]),
-        b=_side(b, found[1]),
+        a=first,
+        b=second,
         is_paired=is_paired,
         sieve_set=found[0].sieve_set,
         figures=compared_figures(stones, found, request.measured, is_paired=is_paired),
-    )
-
-
-def _side(side: Side, figures: LotFigures) -> ComparedSide:
-    return ComparedSide(
-        lot=side.lot,
-        algorithm_version=side.algorithm_version,
-        measured=figures.measured,
-        calibration_ids=figures.calibration_ids,
     )
 
 
@@ -155,3 +158,91 @@ def _influences(
         yield f"d{percent}_mm", size_influences(stones.lot, percent, measured)
     for name, property_of in SHARES.items():
         yield name, share_influences(stones.lot, property_of(measured))
+
+
+class RunsTooFewError(ProblemError):
+    """No two runs of the sample were made under equal conditions."""
+
+    kinds = (ProblemKind("too-few-runs", HTTPStatus.CONFLICT, "The sample has too few runs to compare"),)
+
+
+class Conditions(StrEnum):
+    """Conditions that runs of one group have in common."""
+
+    DAY = "day"
+    """Opened on one day, UTC."""
+    SAMPLER = "sampler"
+    EQUIPMENT = "equipment"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """A lot that is a run of the sample."""
+
+    __pydantic_config__ = ANSWER
+
+    lot: str
+    """Id of the lot."""
+    group: str
+    """Runs of equal conditions have the same."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleStudy:
+    """Repeatability and reproducibility from repeated runs of one sample (ISO 5725-2)."""
+
+    __pydantic_config__ = ANSWER
+
+    sample_id: str
+    """Id of the laboratory sample."""
+    product: str
+    """Product of the newest run; all runs are judged by it."""
+    product_version: int
+    """Version of the product."""
+    runs: list[Run]
+    """Oldest first."""
+    figures: Mapping[str, Repeatability]
+    """By name, in the unit at its end; figures that every run has."""
+
+
+def sample_study(
+    connection: sqlite3.Connection, sample_id: str, conditions: Conditions, request: Request
+) -> SampleStudy | None:
+    """Compare the closed lots with this sample id, all by the product of the newest; None if there is none.
+
+    Raises `RunsTooFewError` if no two runs were made under equal conditions, and as `yardstick_of` does.
+    """
+    records = [each for each in lots_of_sample(connection, sample_id) if each.state is LotState.CLOSED]
+    if not records:
+        return None
+    newest = records[-1]
+    product = find_product(connection, newest.product, newest.product_version)
+    runs = [Run(lot=each.lot, group=_group(each, conditions)) for each in records]
+    figures = [figures_of(stones_of_lot(connection, run.lot), request, product) for run in runs]
+    found = [
+        {name: each.value for name, each in named_figures(of_run).items() if each.value is not None}
+        for of_run in figures
+    ]
+    names = [name for name in found[-1] if all(name in values for values in found)]
+    groups = {run.group: [each for each in range(len(runs)) if runs[each].group == run.group] for run in runs}
+    try:
+        compared = {
+            name: repeatability([[found[each][name] for each in members] for members in groups.values()])
+            for name in names
+        }
+    except ValueError as err:
+        raise RunsTooFewError(f"sample {sample_id}: {err}: a group has the same {conditions}") from err
+    return SampleStudy(
+        sample_id=sample_id,
+        product=newest.product,
+        product_version=newest.product_version,
+        runs=runs,
+        figures=compared,
+    )
+
+
+def _group(record: LotDocument, conditions: Conditions) -> str:
+    if conditions is Conditions.DAY:
+        return record.opened_at[:10]
+    said = record.sampler if conditions is Conditions.SAMPLER else record.equipment
+    return said or f"unknown, {record.lot}"  # may equal no other

@@ -35,10 +35,15 @@ from service.lots.figures import (
 from service.lots.laboratory import CorrelationDocument, correlations
 from service.lots.lots import LotDocument, find_lot
 from service.lots.products import Product, find_product
+from service.lots.standards import read_standards
 from service.lots.stones import ALL_STONES, Choice, Stones, stones_between, stones_of_lot
-from service.lots.yardsticks import Request, Yardstick, standards, yardstick_of
+from service.lots.yardsticks import Request, Yardstick, yardstick_of
 
 LEAST_PORTIONS = "en-933-1"
+OF_STONES = (
+    "since", "until", "by_body", "not_refined", "calibration_ids", "algorithm_versions", "is_simulated", "is_replay",
+)  # fmt: skip
+"""Figures of a lot that are said of its stones as they are."""
 RATE_OVER_S = 60.0
 """Time over which the present rate of stones is taken."""
 
@@ -116,15 +121,12 @@ def figures_of(
         product=None
         if product is None
         else ProductDocument.model_validate(asdict(product) | {"specification": name}),
-        since=stones.since,
-        until=stones.until,
+        **{name: getattr(stones, name) for name in OF_STONES},
         triggers=sum(fates.values()),
         measured=fates[Fate.MEASURED],
         rejected=fates[Fate.REJECTED],
         lost=fates[Fate.LOST],
         by_quality={word: n for (fate, word), n in stones.lot.counts.items() if fate is Fate.MEASURED},
-        by_body=stones.by_body,
-        not_refined=stones.not_refined,
         mass_kg=None if product is None else gradation.volume_mm3 * 1e-9 * product.density_kg_m3,
         n_effective=gradation.n_effective,
         sieve_set=yardstick.sieves.name,
@@ -142,12 +144,8 @@ def figures_of(
         unmeasured=gradation.unmeasured,
         least_portion_kg=None
         if upper_mm is None
-        else standards().least_portions[LEAST_PORTIONS].least_kg(upper_mm),
+        else read_standards().least_portions[LEAST_PORTIONS].least_kg(upper_mm),
         scale_sd_percent=LENGTH_SD_PERCENT,
-        calibration_ids=list(stones.calibration_ids),
-        algorithm_versions=list(stones.algorithm_versions),
-        is_simulated=stones.is_simulated,
-        is_replay=stones.is_replay,
     )
 
 

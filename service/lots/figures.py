@@ -11,7 +11,7 @@ from pipeline.gradation.indices import Indices, is_flaky, is_non_cubical
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.specification import Decision, Verdict
 from pipeline.gradation.stones import Unmeasured
-from service.base.schema import TIME, adds_to
+from service.base.schema import OptionalTime, adds_to
 from service.base.status import Report
 from service.lots.lots import LotDocument
 
@@ -101,8 +101,8 @@ class LotFigures(Report):
 
     lot: LotDocument | None = Field(description="Null for a window, a shift, and results without a store")
     product: ProductDocument | None = Field(description="Version of the product; null without one")
-    since: str | None = Field(description="First stone, RFC 3339 UTC", json_schema_extra=TIME)
-    until: str | None = Field(description="Last stone", json_schema_extra=TIME)
+    since: OptionalTime = Field(description="First stone, RFC 3339 UTC")
+    until: OptionalTime = Field(description="Last stone")
     triggers: int = Field(description="measured + rejected + lost")
     measured: int = Field(description="Stones with a body and its measures")
     rejected: int = Field(description="Stones whose views were found unfit")

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import sqlite3
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
@@ -17,7 +18,6 @@ from service.base.schema import ANSWER, Time
 from service.lots.lots import LotState, lots
 from service.lots.stones import stones_of_lot
 from service.store import audit
-from service.store.schema import transaction
 
 MAX_SIEVINGS = 100
 """Most sievings of a lot: they are one list, without pages."""
@@ -25,6 +25,8 @@ MOST_SIEVES = 100
 """In one table or request; a stored one may be older than this limit."""
 PAN = frozenset({"pan", "boden", "0"})
 """Words for what passes the last sieve; the second is German."""
+MASS = re.compile(r"([0-9.,\s]++)(kg|g)?")
+GRAMS = {"kg": 1000.0, "g": 1.0, None: None}
 MOST_LOTS = 1000
 
 
@@ -79,7 +81,6 @@ class StoredSieving:
     """A sieving of a lot."""
 
     sieving: int
-    lot: str
     at: str
     document: Sieving
 
@@ -147,7 +148,8 @@ def parse_table(text: str, **more: str | None) -> Sieving:
                 raise SievingError(
                     f"table: line {number}: {line.strip()[:80]!r} is not an aperture and a mass"
                 )
-            unit_g = 1000.0 if "kg" in _words(line) else 1.0  # the head of the columns
+            is_kg = "kg" in re.findall(r"[^\W_]+", line.lower())
+            unit_g = 1000.0 if is_kg else 1.0  # the head of the columns
             continue
         name, mass, factor = row
         grams = _number(mass, number) * (factor or unit_g)
@@ -168,33 +170,22 @@ def _row(line: str) -> tuple[str, str, float | None] | None:
     name, *cells = (cell.strip() for cell in line.strip().replace("\t", ";").split(";"))
     if not name or not cells or any(cells[1:]) or len(cells) > 2:
         return None
-    mass, unit_g = cells[0].lower(), None
-    for unit, grams in (("kg", 1000.0), ("g", 1.0)):
-        if mass.endswith(unit):
-            mass, unit_g = mass.removesuffix(unit).rstrip(), grams
-            break
-    is_number = bool(mass) and all(character.isspace() or character in "0123456789.," for character in mass)
-    return (name, mass, unit_g) if is_number else None
-
-
-def _words(line: str) -> list[str]:
-    """Return the words of a line, in small letters."""
-    return "".join(character if character.isalnum() else " " for character in line.lower()).split()
+    mass = MASS.fullmatch(cells[0].lower())
+    return None if mass is None else (name, mass[1], GRAMS[mass[2]])
 
 
 def add_sieving(connection: sqlite3.Connection, lot: str, sieving: Sieving, who: str) -> StoredSieving:
     """Store a sieving of a lot; raise `TooManyError` if it has `MAX_SIEVINGS` already."""
     document = asdict(sieving)
-    with transaction(connection):
-        (n,) = connection.execute("SELECT count(*) FROM sievings WHERE lot = ?", (lot,)).fetchone()
-        if n >= MAX_SIEVINGS:
-            raise TooManyError("sievings", f"lot {lot} has {MAX_SIEVINGS} sievings already")
-        number, at = connection.execute(
-            "INSERT INTO sievings (lot, at, document) VALUES (?, ?, ?) RETURNING sieving, at",
-            (lot, utc_now(), json.dumps(document)),
-        ).fetchone()
-        audit.note(connection, who, "sieving", lot, after=document)
-    return StoredSieving(sieving=number, lot=lot, at=at, document=sieving)
+    (n,) = connection.execute("SELECT count(*) FROM sievings WHERE lot = ?", (lot,)).fetchone()
+    if n >= MAX_SIEVINGS:
+        raise TooManyError("sievings", f"lot {lot} has {MAX_SIEVINGS} sievings already")
+    number, at = connection.execute(
+        "INSERT INTO sievings (lot, at, document) VALUES (?, ?, ?) RETURNING sieving, at",
+        (lot, utc_now(), json.dumps(document)),
+    ).fetchone()
+    audit.note(connection, who, "sieving", lot, after=document)
+    return StoredSieving(sieving=number, at=at, document=sieving)
 
 
 def sievings(connection: sqlite3.Connection, lot: str) -> list[StoredSieving]:
@@ -203,7 +194,7 @@ def sievings(connection: sqlite3.Connection, lot: str) -> list[StoredSieving]:
         "SELECT sieving, at, document FROM sievings WHERE lot = ? ORDER BY sieving", (lot,)
     )
     return [
-        StoredSieving(sieving=number, lot=lot, at=at, document=SIEVING.validate_json(text))
+        StoredSieving(sieving=number, at=at, document=SIEVING.validate_json(text))
         for number, at, text in rows
     ]
 
@@ -249,16 +240,15 @@ def study_of(connection: sqlite3.Connection, product: str, form: MappingForm) ->
 
 def keep_study(connection: sqlite3.Connection, product: str, found: Study, who: str) -> CorrelationDocument:
     """Store a study as the newest version of the product's."""
-    with transaction(connection):
-        (version,) = connection.execute(
-            "SELECT coalesce(max(version), 0) + 1 FROM correlations WHERE product = ?", (product,)
-        ).fetchone()
-        at = utc_now()
-        connection.execute(
-            "INSERT INTO correlations (product, version, at, document) VALUES (?, ?, ?, ?)",
-            (product, version, at, json.dumps(asdict(found))),
-        )
-        audit.note(connection, who, "correlation", product, after=asdict(found))
+    (version,) = connection.execute(
+        "SELECT coalesce(max(version), 0) + 1 FROM correlations WHERE product = ?", (product,)
+    ).fetchone()
+    at = utc_now()
+    connection.execute(
+        "INSERT INTO correlations (product, version, at, document) VALUES (?, ?, ?, ?)",
+        (product, version, at, json.dumps(asdict(found))),
+    )
+    audit.note(connection, who, "correlation", product, after=asdict(found))
     return _correlation(product, version, at, found)
 
 

@@ -12,12 +12,12 @@ from pydantic import Field
 from drivers.files.times import utc_now
 from service.base.errors import ProblemError, ProblemKind
 from service.base.ids import NEW_ID
-from service.base.schema import REQUEST, TIME, Name, Remark
+from service.base.schema import REQUEST, Name, OptionalTime, Remark, Time
 from service.base.status import Report
 from service.lots.products import find_product
 from service.store import audit
 from service.store.events import EventType, NewEvent, note_event
-from service.store.schema import rows_by_name, transaction
+from service.store.schema import rows_by_name
 
 Tonnage = Annotated[float, Field(ge=0, le=1e6)]
 MOST_RUNS = 1000
@@ -67,10 +67,8 @@ class LotDocument(Report):
     sampler: str | None = Field(description="Who took the sample")
     tonnage_t: float | None = Field(description="Mass of the whole lot, t")
     remark: str | None = Field(description="Whatever else the plant said of it")
-    opened_at: str = Field(description="When it was opened, RFC 3339 UTC", json_schema_extra=TIME)
-    closed_at: str | None = Field(
-        description="When it was closed or voided, RFC 3339 UTC; null while open", json_schema_extra=TIME
-    )
+    opened_at: Time = Field(description="When it was opened, RFC 3339 UTC")
+    closed_at: OptionalTime = Field(description="When it was closed or voided, RFC 3339 UTC; null while open")
     void_reason: str | None = Field(description="Why it counts no more; null unless void")
     revision: int = Field(
         description="0 while it is open; 1 when it is closed, and one more with each change after that"
@@ -99,62 +97,59 @@ def open_lot(
     this one was opened before with other words, or is closed or void, or the name of another differs by capital letters
     alone; `UnknownProductError` if there is no such product, or not this version of it.
     """
-    with transaction(connection):
-        found = find_product(connection, product, version)
-        if found is None:
-            name = product if version is None else f"{product}, version {version}"
-            raise UnknownProductError(f"there is no product {name}")
-        existing = find_lot(connection, definition.lot)
-        if existing is not None:
-            same = (definition_of(existing), existing.product, existing.product_version)
-            if existing.state is LotState.OPEN and same == (definition, product, found.version):
-                return existing
-            raise LotConflictError(f"lot {definition.lot} exists already and is {existing.state}")
-        for alike in _lots(connection, "lot = ? COLLATE NOCASE", (definition.lot,), 1):
-            raise LotConflictError(
-                f"lot {alike.lot} differs by capital letters alone: its files would be the same"
-            )
-        for other in _lots(connection, "state = 'open'", (), 1):
-            raise LotConflictError(f"lot {other.lot} is open: close it first")
-        connection.execute(
-            "INSERT INTO lots (lot, product, version, definition, opened_at, state) VALUES (?, ?, ?, ?, ?, 'open')",
-            (definition.lot, product, found.version, json.dumps(asdict(definition)), utc_now()),
+    found = find_product(connection, product, version)
+    if found is None:
+        name = product if version is None else f"{product}, version {version}"
+        raise UnknownProductError(f"there is no product {name}")
+    existing = find_lot(connection, definition.lot)
+    if existing is not None:
+        same = (definition_of(existing), existing.product, existing.product_version)
+        if existing.state is LotState.OPEN and same == (definition, product, found.version):
+            return existing
+        raise LotConflictError(f"lot {definition.lot} exists already and is {existing.state}")
+    for alike in _lots(connection, "lot = ? COLLATE NOCASE", (definition.lot,), 1):
+        raise LotConflictError(
+            f"lot {alike.lot} differs by capital letters alone: its files would be the same"
         )
-        return _noted(connection, definition.lot, who, "lot opened", None, EventType.LOT_OPENED)
+    for other in _lots(connection, "state = 'open'", (), 1):
+        raise LotConflictError(f"lot {other.lot} is open: close it first")
+    connection.execute(
+        "INSERT INTO lots (lot, product, version, definition, opened_at, state) VALUES (?, ?, ?, ?, ?, 'open')",
+        (definition.lot, product, found.version, json.dumps(asdict(definition)), utc_now()),
+    )
+    return _noted(connection, definition.lot, who, "lot opened", None, EventType.LOT_OPENED)
 
 
 def close_lot(
     connection: sqlite3.Connection, lot: str, tonnage_t: float | None, who: str
 ) -> LotDocument | None:
     """Close a lot; what fell until now stays in it. A closed one is returned as it is; None if there is none."""
-    with transaction(connection):
-        before = find_lot(connection, lot)
-        if before is None or before.state is LotState.CLOSED:
-            return before
-        if before.state is LotState.VOID:
-            raise LotConflictError(f"lot {lot} is void")
-        definition = definition_of(before)
-        if tonnage_t is not None:
-            definition = replace(definition, tonnage_t=tonnage_t)
-        connection.execute(
-            "UPDATE lots SET state = 'closed', closed_at = ?, definition = ?, revision = revision + 1 WHERE lot = ?",
-            (utc_now(), json.dumps(asdict(definition)), lot),
-        )
-        return _noted(connection, lot, who, "lot closed", before, EventType.LOT_CLOSED)
+    before = find_lot(connection, lot)
+    if before is None or before.state is LotState.CLOSED:
+        return before
+    if before.state is LotState.VOID:
+        raise LotConflictError(f"lot {lot} is void")
+    definition = definition_of(before)
+    if tonnage_t is not None:
+        definition = replace(definition, tonnage_t=tonnage_t)
+    connection.execute(
+        "UPDATE lots SET state = 'closed', closed_at = ?, definition = ?, revision = revision + 1 WHERE lot = ?",
+        (utc_now(), json.dumps(asdict(definition)), lot),
+    )
+    return _noted(connection, lot, who, "lot closed", before, EventType.LOT_CLOSED)
 
 
 def void_lot(connection: sqlite3.Connection, lot: str, reason: str, who: str) -> LotDocument | None:
     """Declare a lot void: its figures count no more, and are kept. None if there is none."""
-    with transaction(connection):
-        before = find_lot(connection, lot)
-        if before is None or before.state is LotState.VOID:
-            return before
-        connection.execute(
-            "UPDATE lots SET state = 'void', void_reason = ?, closed_at = coalesce(closed_at, ?),"
-            " revision = revision + 1 WHERE lot = ?",
-            (reason, utc_now(), lot),
-        )
-        return _noted(connection, lot, who, "lot voided", before, EventType.LOT_VOIDED)
+    before = find_lot(connection, lot)
+    if before is None or before.state is LotState.VOID:
+        return before
+    connection.execute(
+        "UPDATE lots SET state = 'void', void_reason = ?, closed_at = coalesce(closed_at, ?),"
+        " revision = revision + 1 WHERE lot = ?",
+        (reason, utc_now(), lot),
+    )
+    return _noted(connection, lot, who, "lot voided", before, EventType.LOT_VOIDED)
 
 
 def assign(
@@ -164,43 +159,41 @@ def assign(
 
     Stones of another lot stay there. None if there is no such lot.
     """
-    with transaction(connection):
-        before = find_lot(connection, lot)
-        if before is None:
-            return None
-        if before.state is LotState.VOID:
-            raise LotConflictError(f"lot {lot} is void")
-        n_assigned, n_triggers = (
-            connection.execute(
-                f"UPDATE {table} SET lot = ? WHERE captured_at >= ? AND captured_at < ? AND lot IS NULL"  # noqa: S608 - of two
-                " AND kind = 'particle'",
-                (lot, since, until),
-            ).rowcount
-            for table in ("indexed_fields", "triggers")
-        )
-        details = {"since": since, "until": until, "n_stones": n_assigned}
-        audit.note(connection, who, "stones assigned", lot, after=details)
-        if n_assigned or n_triggers:  # of which some may have no outcome yet
-            connection.execute(
-                "UPDATE lots SET revision = revision + 1 WHERE lot = ? AND state = 'closed'", (lot,)
-            )
-            _note_event(connection, EventType.LOT_ASSIGNED, _existing(connection, lot))
-        return _existing(connection, lot), n_assigned
+    before = find_lot(connection, lot)
+    if before is None:
+        return None
+    if before.state is LotState.VOID:
+        raise LotConflictError(f"lot {lot} is void")
+    n_assigned, n_triggers = (
+        connection.execute(
+            f"UPDATE {table} SET lot = ? WHERE captured_at >= ? AND captured_at < ? AND lot IS NULL"  # noqa: S608 - of two
+            " AND kind = 'particle'",
+            (lot, since, until),
+        ).rowcount
+        for table in ("indexed_fields", "triggers")
+    )
+    details = {"since": since, "until": until, "n_stones": n_assigned}
+    audit.note(connection, who, "stones assigned", lot, after=details)
+    if n_assigned or n_triggers:  # of which some may have no outcome yet
+        _revise_closed(connection, lot)
+        _note_event(connection, EventType.LOT_ASSIGNED, _existing(connection, lot))
+    return _existing(connection, lot), n_assigned
 
 
 def note_revised(connection: sqlite3.Connection, lot: str) -> None:
     """Note within a transaction that a stone of a lot was measured again: a closed lot says something else now."""
-    closed = connection.execute(
-        "UPDATE lots SET revision = revision + 1 WHERE lot = ? AND state = 'closed'", (lot,)
-    )
-    if closed.rowcount:
+    if _revise_closed(connection, lot):
         _note_event(connection, EventType.LOT_REVISED, _existing(connection, lot))
+
+
+def _revise_closed(connection: sqlite3.Connection, lot: str) -> bool:
+    update = "UPDATE lots SET revision = revision + 1 WHERE lot = ? AND state = 'closed'"
+    return connection.execute(update, (lot,)).rowcount > 0
 
 
 def find_lot(connection: sqlite3.Connection, lot: str) -> LotDocument | None:
     """Return a lot, None if there is none."""
-    found = _lots(connection, "lot = ?", (lot,), 1)
-    return found[0] if found else None
+    return next(iter(_lots(connection, "lot = ?", (lot,), 1)), None)
 
 
 def lots_of_sample(connection: sqlite3.Connection, sample_id: str) -> list[LotDocument]:

@@ -13,7 +13,6 @@ from drivers.files.times import utc_now
 from service.base.errors import TooManyError
 from service.base.schema import REQUEST, Name, Time, adds_to
 from service.store import audit
-from service.store.schema import transaction
 
 MAX_PRODUCTS = 1000
 """Most products: they are one list, without pages."""
@@ -102,21 +101,20 @@ def save_product(
 
     Raises `TooManyError` if there are `MAX_PRODUCTS` others already.
     """
-    with transaction(connection):
-        newest = find_product(connection, product)
-        if newest is not None and newest.definition == definition:
-            return newest
-        (n,) = connection.execute("SELECT count(DISTINCT product) FROM products").fetchone()
-        if newest is None and n >= MAX_PRODUCTS:
-            raise TooManyError("products", f"there are {MAX_PRODUCTS} products: change one of them")
-        version = 1 if newest is None else newest.version + 1
-        saved = Product(**_members(definition), product=product, version=version, created_at=utc_now())
-        connection.execute(
-            "INSERT INTO products (product, version, definition, created_at) VALUES (?, ?, ?, ?)",
-            (product, version, json.dumps(asdict(definition)), saved.created_at),
-        )
-        before = None if newest is None else asdict(newest.definition)
-        audit.note(connection, who, "product", product, before=before, after=asdict(definition))
+    newest = find_product(connection, product)
+    if newest is not None and newest.definition == definition:
+        return newest
+    (n,) = connection.execute("SELECT count(DISTINCT product) FROM products").fetchone()
+    if newest is None and n >= MAX_PRODUCTS:
+        raise TooManyError("products", f"there are {MAX_PRODUCTS} products: change one of them")
+    version = 1 if newest is None else newest.version + 1
+    saved = Product(**_members(definition), product=product, version=version, created_at=utc_now())
+    connection.execute(
+        "INSERT INTO products (product, version, definition, created_at) VALUES (?, ?, ?, ?)",
+        (product, version, json.dumps(asdict(definition)), saved.created_at),
+    )
+    before = None if newest is None else asdict(newest.definition)
+    audit.note(connection, who, "product", product, before=before, after=asdict(definition))
     return saved
 
 

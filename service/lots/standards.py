@@ -6,6 +6,7 @@ They are the TOML files in `standards/`; a site may have a folder of its own in 
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -33,8 +34,9 @@ class Standards:
     sizes: Mapping[str, Specification]
 
 
+@cache
 def read_standards(folder: Path = FOLDER) -> Standards:
-    """Return the tables of a folder; a `StandardsError` names the file that is wrong, and each wrong field."""
+    """Return the tables of a folder, read once; a `StandardsError` names the wrong file, and each wrong field."""
     sieves = _read(folder / SIEVES, _SievesFile)
     specifications = _read(folder / SPECIFICATIONS, _SpecificationsFile)
     try:

@@ -19,8 +19,7 @@ from pipeline.frames import BundleKind
 from pipeline.gradation.stones import MEASURES, OPTIONAL, REQUIRED, Fate, Lot, Stone, UnmeasuredStone, lot_of
 from service.base.errors import InvalidRequestError
 from service.base.schema import ANSWER, Time
-from service.results.fields import INDEXED_FIELDS
-from service.results.refinement import why_not_refined
+from service.results.fields import INDEXED_FIELDS, why_not_refined
 from service.store.schema import rows_by_name
 from service.store.writes import IS_REPLAY
 
@@ -30,7 +29,6 @@ MEASURED_COLUMNS = (*REQUIRED, *OPTIONAL, "volume_sd_percent", "surface_sd_mm")
 """Fields of a measured stone that a gradation needs, in the order of `lot_of_columns`."""
 COLUMNS = ("id", "n_stones", *INDEXED_FIELDS)
 REQUIRED_OF = itemgetter(*REQUIRED)
-BODY = itemgetter("body", "refinement_fallback")
 Number = TypeVar("Number", float, Values)
 
 FELL = ("stones", "captured_at")
@@ -198,18 +196,14 @@ def stones_in(records: Sequence[Mapping[str, Any]]) -> Stones:
         for record in records
     ]
     measured = [record for record, stone in zip(records, stones, strict=True) if isinstance(stone, Stone)]
-    by_body: Counter[str] = Counter()
-    whys: Counter[str] = Counter()
-    for (body, fallback), n_stones in Counter(map(BODY, measured)).items():
-        if body is not None:
-            by_body[body] += n_stones
-        if body == "estimate" and fallback is not None:
-            whys[why_not_refined(fallback)] += n_stones
+    by_body = Counter(record["body"] for record in measured if record["body"] is not None)
+    estimates = [record for record in measured if record["body"] == "estimate"]
+    fallbacks = [each for record in estimates if (each := record["refinement_fallback"]) is not None]
     return Stones(
         lot=lot_of(stones),
         measured_ids=[record.get("id", "") for record in measured],
         by_body=dict(by_body.most_common()),
-        not_refined=dict(whys.most_common()),
+        not_refined=dict(Counter(map(why_not_refined, fallbacks)).most_common()),
         since=min(times, default=None),
         until=max(times, default=None),
         calibration_ids=_different(records, "calibration_id"),

@@ -2,13 +2,12 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange, SieveSet
 from pipeline.gradation.specification import Range, Specification, specification_of
 from service.base.errors import InvalidRequestError
 from service.lots.products import OwnSpecification, ProductDefinition
-from service.lots.standards import Standards, read_standards
+from service.lots.standards import read_standards
 
 DEFAULT_SET = "stonefall"
 """Sieves of stones without a product."""
@@ -42,12 +41,6 @@ class Yardstick:
         return sorted({*self.sieves.apertures_mm, *limits})
 
 
-@cache
-def standards() -> Standards:
-    """Return the tables of the standards, read once."""
-    return read_standards()
-
-
 def yardstick_of(definition: ProductDefinition | None, request: Request) -> Yardstick:
     """Return the yardstick of a product; raise `UnknownYardstickError` for an unknown sieve set or specification."""
     sieves = _sieves(request.sieve_set or (definition.sieve_set if definition else DEFAULT_SET))
@@ -60,14 +53,14 @@ def yardstick_of(definition: ProductDefinition | None, request: Request) -> Yard
 
 def specification_names() -> list[str]:
     """Return the names of categories and sizes."""
-    return [*standards().categories, *standards().sizes]
+    return [*read_standards().categories, *read_standards().sizes]
 
 
 def _sieves(wanted: str | tuple[float, ...]) -> SieveSet:
     if isinstance(wanted, str):
-        found = standards().sieve_sets.get(wanted)
+        found = read_standards().sieve_sets.get(wanted)
         if found is None:
-            raise _unknown("sieve_set", wanted, standards().sieve_sets)
+            raise _unknown("sieve_set", wanted, read_standards().sieve_sets)
         return found
     try:
         return SieveSet(name="own sieves", source="the site's own", apertures_mm=wanted)
@@ -79,8 +72,8 @@ def _specification(
     definition: ProductDefinition | None, name: str | None, sieves: SieveSet
 ) -> Specification | None:
     wanted = name or (definition.specification if definition else None)
-    flakiness = _index("flakiness_category", definition, standards().flakiness)
-    shape = _index("shape_category", definition, standards().shape)
+    flakiness = _index("flakiness_category", definition, read_standards().flakiness)
+    shape = _index("shape_category", definition, read_standards().shape)
     if isinstance(wanted, OwnSpecification):
         passing = {float(aperture): _limits(pair) for aperture, pair in wanted.passing.items()}
         found = Specification(name=wanted.name, source="the site's own", passing=passing)
@@ -90,15 +83,15 @@ def _specification(
         if flakiness is None and shape is None:
             return None
         found = Specification(name="indices alone", source="EN 12620", passing={})
-    elif wanted in standards().sizes:
-        found = standards().sizes[wanted]
+    elif wanted in read_standards().sizes:
+        found = read_standards().sizes[wanted]
     else:
         found = _of_category(wanted, definition, sieves)
     return replace(found, flakiness=flakiness, shape=shape)
 
 
 def _of_category(wanted: str, definition: ProductDefinition | None, sieves: SieveSet) -> Specification:
-    category = standards().categories.get(wanted)
+    category = read_standards().categories.get(wanted)
     if category is None:
         raise _unknown("specification", wanted, specification_names())
     if definition is None or definition.lower_mm is None or definition.upper_mm is None:

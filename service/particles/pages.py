@@ -2,7 +2,7 @@
 
 import sqlite3
 
-from service.results.selection import served
+from service.results.fields import served
 from service.store import ParticleFilter
 from service.store.particle_files import first_seq
 from service.store.reads import particles, results_after

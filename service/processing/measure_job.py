@@ -39,9 +39,8 @@ from service.base.errors import WorkerFailure
 from service.processing.backgrounds import read_background, write_background
 from service.processing.segmenters import CLASSICAL, SegmenterPlan, build_segmenter, warm_up
 from service.processing.worker_process import WarmUp, keep_freed_memory, worker_boundary
-from service.results.fields import Result
+from service.results.fields import RUSH, Result
 from service.results.record import optics_record, result_record
-from service.results.refinement import RUSH
 
 NICENESS = 10
 """Niceness of the workers above that of the daemon (nice(2))."""

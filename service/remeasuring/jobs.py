@@ -13,8 +13,7 @@ from drivers.files.rig_file import read_rig
 from pipeline.segmentation.silhouette import FoundBy
 from service.base.errors import ProblemError, ProblemKind
 from service.processing.measure_job import MeasureJob, RigFile
-from service.results.fields import Outcome
-from service.results.refinement import RUSH
+from service.results.fields import RUSH, Outcome
 from service.results.version import ALGORITHM_VERSION
 from service.store import Record, Store
 from service.store.particle_files import RAW, first_seq

@@ -9,7 +9,7 @@ from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.specification import Decision
 from service.lots.figures import INDICES, FlatAndElongated, LotFigures, decision_on, shares_of, unit_of
 from service.reports.report import ReportData, Scalar
-from service.reports.texts import plain
+from service.reports.words import plain
 
 UNCERTAINTY = (
     "low_95",

@@ -326,7 +326,7 @@ def _description(shown: Sequence[CurveStep], say: Words) -> str:
         say(
             "curve.described_step",
             sieve=say.size(step.sieve_mm),
-            passing=say.estimate(step.passing_percent, 1),
+            passing=say.number(step.passing_percent.value, 1),
             interval=say.interval(step.passing_percent, 1),
             verdict=say("curve.no_limits")
             if (verdict := _verdict(step)) is None
@@ -341,5 +341,7 @@ def _description(shown: Sequence[CurveStep], say: Words) -> str:
 def _description_beside(others: Sequence[tuple[float, Estimate]], beside: Beside | None, say: Words) -> str:
     if beside is None:
         return ""
-    passing = ", ".join(f"{say.size(size_mm)} mm: {say.estimate(figure, 1)} %" for size_mm, figure in others)
+    passing = ", ".join(
+        f"{say.size(size_mm)} mm: {say.number(figure.value, 1)} %" for size_mm, figure in others
+    )
     return say("curve.described_beside", name=beside.name, passing=passing or say("state.not_measured"))

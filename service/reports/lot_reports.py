@@ -1,7 +1,7 @@
-"""The report of a lot from the store, made in the process `stonefall-read`."""
+"""Reports and curves of lots and of times from the store, made in the process `stonefall-read`."""
 
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
@@ -9,16 +9,29 @@ from pathlib import Path
 
 from drivers.files.times import utc_now
 from service.base.language import Language
-from service.lots.evaluation import lot_figures
+from service.lots.evaluation import lot_figures, passing_of, window_figures
+from service.lots.figures import LotFigures
 from service.lots.laboratory import sievings
+from service.lots.stones import Choice, stones_of_lot
 from service.lots.yardsticks import Request
 from service.particles.renditions import NotKeptError, preview_png
-from service.reports.render import render
+from service.reports.csv_file import render_csv
+from service.reports.curve import Beside, curve_svg
+from service.reports.printed import render_html, render_pdf
 from service.reports.report import GalleryReason, GalleryStone, LastVerification, ReportData, ReportFormat
+from service.reports.words import words
+from service.reports.workbook import render_xlsx
 from service.store.particle_files import path_of
 from service.store.reads import newest_folder
 from service.web.version import API_VERSION
 
+RENDERERS: Mapping[ReportFormat, Callable[[ReportData], bytes]] = {
+    ReportFormat.HTML: render_html,
+    ReportFormat.PDF: render_pdf,
+    ReportFormat.CSV: render_csv,
+    ReportFormat.XLSX: render_xlsx,
+}
+"""Functions from the data of a report to its file; the same data gives the same bytes."""
 MATTER = {
     GalleryReason.HEAVIEST: ("volume_mm3 DESC", 3),
     GalleryReason.LARGEST: ("sieve_size_mm DESC", 2),
@@ -46,6 +59,16 @@ class ReportRequest:
     rig: RigStanding
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CurveRequest:
+    """How a curve is to be drawn, and what beside it."""
+
+    figures: Request
+    language: Language
+    beside_lot: str | None = None
+    beside_algorithm_version: str | None = None
+
+
 def lot_report(
     connection: sqlite3.Connection,
     particles_dir: Path,
@@ -55,7 +78,7 @@ def lot_report(
 ) -> bytes | None:
     """Return the report of a lot, None if there is none."""
     data = report_data(connection, particles_dir, lot, wanted, has_pictures=True)
-    return None if data is None else render(data, report_format)
+    return None if data is None else RENDERERS[report_format](data)
 
 
 def report_data(
@@ -120,3 +143,51 @@ def _preview(connection: sqlite3.Connection, particles_dir: Path, seq: int) -> b
     with suppress(NotKeptError):
         return None if folder is None else preview_png(path_of(particles_dir, folder))
     return None
+
+
+def lot_curve_svg(
+    connection: sqlite3.Connection, lot: str, choice: Choice, wanted: CurveRequest
+) -> str | None:
+    """Return the curve of a lot, or of a choice of its stones, as the report draws it; None if there is none."""
+    figures = lot_figures(connection, lot, wanted.figures, choice)
+    if figures is None:
+        return None
+    return _curve_svg(connection, figures, _name(lot, choice.algorithm_version, wanted.language), lot, wanted)
+
+
+def window_curve_svg(
+    connection: sqlite3.Connection,
+    since: str,
+    until: str,
+    product: str | None,
+    name: str,
+    wanted: CurveRequest,
+) -> str | None:
+    """Return the curve of what fell within a time, None if the product is unknown; `name` is that of the time."""
+    figures = window_figures(connection, since, until, wanted.figures, product)
+    return None if figures is None else _curve_svg(connection, figures, name, None, wanted)
+
+
+def _curve_svg(
+    connection: sqlite3.Connection, figures: LotFigures, name: str, lot: str | None, wanted: CurveRequest
+) -> str:
+    """Return the curve with the one beside it; without `beside_lot` that is of the same lot."""
+    version, beside = wanted.beside_algorithm_version, None
+    other = wanted.beside_lot or (lot if version else None)
+    if other is not None:
+        beside = Beside(
+            first_name=name,
+            name=_name(other, version, wanted.language),
+            passing_percent=passing_of(
+                stones_of_lot(connection, other, Choice(algorithm_version=version)).lot,
+                [step.sieve_mm for step in figures.curve],
+                wanted.figures.measured,
+            ),
+        )
+    return curve_svg(figures.curve, language=wanted.language, beside=beside)
+
+
+def _name(lot: str, algorithm_version: str | None, language: Language) -> str:
+    if algorithm_version is None:
+        return lot
+    return words(language)("curve.by_version", name=lot, version=algorithm_version)

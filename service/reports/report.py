@@ -20,11 +20,6 @@ class ReportFormat(StrEnum):
     CSV = "csv"
     XLSX = "xlsx"
 
-    @property
-    def media_type(self) -> str:
-        """Return the type that an answer of REST names."""
-        return MEDIA_TYPES[self]
-
 
 MEDIA_TYPES = {
     ReportFormat.HTML: "text/html; charset=utf-8",
@@ -32,6 +27,7 @@ MEDIA_TYPES = {
     ReportFormat.CSV: "text/csv; charset=utf-8; header=present",
     ReportFormat.XLSX: "application/vnd.openxmlformats-officedocument.spreadsheetml.sheet",
 }
+"""Types that answers of REST name."""
 
 
 class VerificationOutcome(StrEnum):

@@ -1,14 +1,13 @@
 """The figures of a lot as tables: gradation, indices, and the laboratory's beside the instrument's."""
 
 from pipeline.gradation.estimates import Estimate, State
-from pipeline.gradation.specification import Decision, Verdict
+from pipeline.gradation.specification import Decision
 from service.lots.figures import LotFigures, ShapeIndices, decision_on, unit_of
 from service.lots.laboratory import StoredSieving
 from service.reports.curve import gradation_curve
 from service.reports.document import DASH, Block, Column, Note, Picture, Section, Table
 from service.reports.report import ReportData
-from service.reports.texts import LONGEST_HEADING, abridged
-from service.reports.words import Words
+from service.reports.words import LONGEST_HEADING, Words, abridged
 
 
 def limits(decision: Decision | None, say: Words) -> str:
@@ -44,15 +43,15 @@ def gradation(data: ReportData, say: Words) -> Section:
     rows = [
         (
             say.size(step.sieve_mm),
-            say.estimate(step.passing_percent, 1),
+            say.number(step.passing_percent.value, 1),
             say.interval(step.passing_percent, 1),
-            say.estimate(step.passing_by_number_percent, 1),
+            say.number(step.passing_by_number_percent.value, 1),
             limits(step.decision, say),
             verdict_word(step.decision, step.passing_percent, say),
         )
         for step in steps
     ]
-    table = Table(columns, rows, [_verdict(step.decision) for step in steps])
+    table = Table(columns, rows, [step.decision.verdict if step.decision else None for step in steps])
     quantiles = Table(
         (
             Column(say("quantiles.size"), is_number=False, width=0.7),
@@ -65,9 +64,9 @@ def gradation(data: ReportData, say: Words) -> Section:
             (
                 f"D{quantile.percent}",
                 *(
-                    text(figure, 2)
+                    text
                     for figure in (quantile.interpolated_mm, quantile.exact_mm)
-                    for text in (say.estimate, say.interval)
+                    for text in (say.number(figure.value, 2), say.interval(figure, 2))
                 ),
             )
             for quantile in figures.quantiles
@@ -83,10 +82,6 @@ def gradation(data: ReportData, say: Words) -> Section:
             Note(say("quantiles.note")),
         ),
     )
-
-
-def _verdict(decision: Decision | None) -> Verdict | None:
-    return None if decision is None else decision.verdict
 
 
 def verdict_word(decision: Decision | None, figure: Estimate, say: Words) -> str:
@@ -118,14 +113,14 @@ def indices(data: ReportData, say: Words) -> Section:
         [
             (
                 title,
-                say.estimate(figure, decimals := 1 if unit_of(name) == "%" else 2),
+                say.number(figure.value, decimals := 1 if unit_of(name) == "%" else 2),
                 say.interval(figure, decimals),
                 limits(decision, say),
                 verdict_word(decision, figure, say),
             )
             for name, title, figure, decision in listed
         ],
-        [_verdict(decision) for *_, decision in listed],
+        [decision.verdict if decision else None for *_, decision in listed],
     )
     forms = Table(
         (

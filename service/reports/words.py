@@ -1,6 +1,10 @@
-"""The words of a report, which are data: one file a language in `words/`, the same keys in all."""
+"""The words of a report, which are data: one file a language in `words/`, the same keys in all.
+
+Texts of strangers are made harmless for every kind of document.
+"""
 
 import tomllib
+import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -11,9 +15,12 @@ from pathlib import Path
 from pipeline.gradation.estimates import Estimate
 from service.base.figure_names import figure_names
 from service.base.language import Language
-from service.reports.texts import LONGEST_HEADING, abridged
 
 FOLDER = Path(__file__).with_name("words")
+LONGEST_PRINTED = 400
+"""Characters of a text that are printed on paper; tables for machines have all of it."""
+LONGEST_HEADING = 80
+BIDI_CONTROLS = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,10 +56,6 @@ class Words:
         """Return the size of a sieve as it is named: 8, 31.5, 0.063."""
         return f"{size_mm:.6g}".replace(".", self("number.decimal_mark"))
 
-    def estimate(self, figure: Estimate, decimals: int) -> str:
-        """Return the value of a figure, or that it was not measured."""
-        return self.number(figure.value, decimals)
-
     def interval(self, figure: Estimate, decimals: int) -> str:
         """Return the 95 % interval of a figure; a dash without one."""
         if figure.low is None or figure.high is None:
@@ -78,3 +81,27 @@ def words(language: Language) -> Words:
         f"{section}.{name}": text for section, entries in document.items() for name, text in entries.items()
     }
     return Words(language=language, texts={**texts, **figure_names(language)})
+
+
+def plain(text: str) -> str:
+    """Return the text without characters that no document may have: controls, surrogates, turned directions.
+
+    A line break becomes a space.
+    """
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(_plain(character) for character in text)
+
+
+def _plain(character: str) -> str:
+    if character.isspace():
+        return " "
+    if character in BIDI_CONTROLS or unicodedata.category(character) in ("Cc", "Cs"):
+        return ""
+    return "" if ord(character) in (0xFFFE, 0xFFFF) else character
+
+
+def abridged(text: str, longest: int = LONGEST_PRINTED) -> str:
+    """Return a harmless text of at most so many characters; one that was cut ends with an ellipsis."""
+    text = plain(text)
+    return text if len(text) <= longest else text[: longest - 1].rstrip() + "…"

@@ -11,14 +11,12 @@ from xlsxwriter.worksheet import Worksheet
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.specification import Decision
 from service.lots.figures import FlatAndElongated, shares_of
-from service.reports.content import document_of
+from service.reports.content import accounted, calibration, document_of, uncertainty, versions
 from service.reports.csv_file import accounting_rows
 from service.reports.document import NamesAndValues, Note
-from service.reports.evidence import accounted, calibration, uncertainty, versions
 from service.reports.report import ReportData, Scalar
 from service.reports.results import judged_indices
-from service.reports.texts import plain
-from service.reports.words import Words, words
+from service.reports.words import Words, plain, words
 
 OPTIONS = {
     "in_memory": True,

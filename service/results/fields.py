@@ -6,7 +6,7 @@ list in `service/web/README.md` follow from `Result`. A measured field has the n
 definition and standard are.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -70,6 +70,24 @@ class LossReason(StrEnum):
     """The light gate counted it after the daemon had been killed and before the next one was armed."""
     SHUTDOWN = "shutdown"
     """The daemon was stopped before the bundle was measured, or the rig disarmed before its frames came."""
+
+
+RUSH = "other stones were waiting"
+"""The record's `refinement_fallback` of a stone that was not refined for want of time."""
+
+
+class NotRefined(StrEnum):
+    """Why a stone stays as estimated although `[body] kind` is `photo`; a word of the REST contract."""
+
+    RUSH = "rush"
+    """Other stones were waiting; it can be measured again."""
+    NO_EVIDENCE = "no_evidence"
+    """The pixels were looked at and showed nothing that could be used."""
+
+
+def why_not_refined(fallback: str) -> NotRefined:
+    """Classify a record's `refinement_fallback`."""
+    return NotRefined.RUSH if fallback == RUSH else NotRefined.NO_EVIDENCE
 
 
 class Hull(BaseModel):
@@ -286,3 +304,29 @@ EMPTY: Mapping[str, Any] = {
 def completed(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return a record with the fields added that the version which stored it did not have."""
     return {**EMPTY, **record}
+
+
+class UnknownFieldsError(ValueError):
+    """Fields were asked for that no result has."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        known = ", ".join(Result.model_fields)
+        super().__init__(f"no result has {', '.join(map(repr, names))}; there are `{LEAN}`, {known}")
+
+
+def chosen_fields(text: str) -> tuple[str, ...]:
+    """Return the fields that a list like `lean,optics` names, in the order of a result; some are in every choice.
+
+    An `UnknownFieldsError` names those that there are not.
+    """
+    names = {name.strip() for name in text.split(",")} - {""}
+    if unknown := sorted(names - {LEAN, *Result.model_fields}):
+        raise UnknownFieldsError(unknown)
+    wanted = names.union(ALWAYS, LEAN_FIELDS if LEAN in names else ())
+    return tuple(name for name in Result.model_fields if name in wanted)
+
+
+def served(record: Mapping[str, Any], names: Sequence[str] | None) -> dict[str, Any]:
+    """Return a record as it is served: with all fields, or with these alone."""
+    whole = completed(record)
+    return whole if names is None else {name: whole[name] for name in names}

@@ -12,6 +12,7 @@ from service.results.fields import MEASURED_FIELDS, Result
 
 BEGIN = "<!-- python -m service.results.table -->"
 END = "<!-- end of the table -->"
+Definitions = Mapping[str, Mapping[str, Any]]
 
 
 def fields_table() -> str:
@@ -21,7 +22,7 @@ def fields_table() -> str:
     return "\n".join([BEGIN, *rows, END]) + "\n"
 
 
-def _rows(schema: Mapping[str, Any], definitions: Mapping[str, Any], prefix: str) -> Iterator[str]:
+def _rows(schema: Mapping[str, Any], definitions: Definitions, prefix: str) -> Iterator[str]:
     for name, field in schema["properties"].items():
         kinds = [_resolved(each, definitions) for each in field.get("anyOf", [field])]
         (kind,) = (each for each in kinds if each.get("type") != "null")
@@ -38,7 +39,7 @@ def _rows(schema: Mapping[str, Any], definitions: Mapping[str, Any], prefix: str
             yield from _rows(values, definitions, f"{prefix}{name}.<camera>.")
 
 
-def _type(kind: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
+def _type(kind: Mapping[str, Any], definitions: Definitions) -> str:
     if "const" in kind or "enum" in kind:
         return ", ".join(f"`{value}`" for value in kind.get("enum", [kind.get("const")]))
     if kind.get("type") == "array":
@@ -48,18 +49,14 @@ def _type(kind: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
     return "time" if kind.get("format") == "date-time" else str(kind["type"])
 
 
-def _map_values(kind: Mapping[str, Any], definitions: Mapping[str, Any]) -> Mapping[str, Any] | None:
+def _map_values(kind: Mapping[str, Any], definitions: Definitions) -> Mapping[str, Any] | None:
     """Return the schema of the values of a map, None for anything else."""
     values = kind.get("additionalProperties")
     return _resolved(values, definitions) if isinstance(values, dict) else None
 
 
-def _resolved(schema: Mapping[str, Any], definitions: Mapping[str, Any]) -> Mapping[str, Any]:
-    reference = schema.get("$ref")
-    if reference is None:
-        return schema
-    found: Mapping[str, Any] = definitions[reference.rpartition("/")[2]]
-    return found
+def _resolved(schema: Mapping[str, Any], definitions: Definitions) -> Mapping[str, Any]:
+    return definitions[schema["$ref"].rpartition("/")[2]] if "$ref" in schema else schema
 
 
 if __name__ == "__main__":

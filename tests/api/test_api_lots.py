@@ -17,8 +17,8 @@ from pipeline.gradation.evaluation import Gradation
 from pipeline.gradation.stones import Lot
 from service.daemon.overview.overview_rows import Rows, overview_rows
 from service.lots import evaluation, laboratory, products
+from service.results.fields import RUSH
 from service.results.record import lost_record
-from service.results.refinement import RUSH
 from service.store import Store
 from service.web.settings import ApiKey, ApiSettings, Scope
 

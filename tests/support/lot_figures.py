@@ -258,7 +258,7 @@ def gallery() -> Sequence[GalleryStone]:
 def sieving() -> StoredSieving:
     retained_g = {4.0: 9.2, 8.0: 24.1, 10.0: 26.3, 12.5: 17.8, 14.0: 13.3, 16.0: 6.5, 22.4: 0.0}
     document = Sieving(retained_g=retained_g, pan_g=2.8, by="Labor Süd")
-    return StoredSieving(sieving=221, lot="2026-04711", at="2026-11-20T11:30:00Z", document=document)
+    return StoredSieving(sieving=221, at="2026-11-20T11:30:00Z", document=document)
 
 
 def report_data(figures: Mapping[str, Any] | None = None, **changes: Any) -> ReportData:

@@ -6,7 +6,8 @@ from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel, Field
 
 from pipeline.gradation.correlation import MappingForm
-from service.base.schema import TIME, Name, RequestBody
+from service.base.schema import Name, RequestBody, Time
+from service.lots.comparing import Conditions, SampleStudy, sample_study
 from service.lots.laboratory import (
     MOST_SIEVES,
     CorrelationDocument,
@@ -25,7 +26,6 @@ from service.lots.products import find_product
 from service.lots.routes.lot_figures import Measuring
 from service.lots.routes.lots import LotName
 from service.lots.routes.products import ProductName
-from service.lots.samples import Conditions, SampleStudy, sample_study
 from service.web.auth import CONFIGURABLE, OPERABLE, READABLE, Who
 from service.web.context import Context
 from service.web.problems import existing, problem_responses
@@ -55,7 +55,7 @@ class SievingDocument(BaseModel):
     """A sieving of a lot."""
 
     sieving: int = Field(description="Number of the sieving")
-    at: str = Field(description="When it was entered, RFC 3339 UTC", json_schema_extra=TIME)
+    at: Time = Field(description="When it was entered, RFC 3339 UTC")
     retained_g: dict[str, float] = Field(
         description="Mass retained on each sieve (EN 933-1), g, by aperture in mm"
     )

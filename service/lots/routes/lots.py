@@ -2,11 +2,11 @@
 
 import re
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Query, Response
+from fastapi import APIRouter, Depends, Path, Query, Response
 from fastapi import Request as HttpRequest
 from pydantic import BaseModel, Field
 
@@ -27,7 +27,7 @@ from service.lots.lots import (
     void_lot,
 )
 from service.web.auth import OPERABLE, READABLE, Who
-from service.web.context import ApiContext, Context
+from service.web.context import Context
 from service.web.etags import NOT_MODIFIED, TAGGED, IfMatch, change_if_match, etag, unchanged
 from service.web.feeds import MAX_SEQ
 from service.web.problems import existing, problem_responses
@@ -38,6 +38,8 @@ router = APIRouter(prefix="/lots", tags=["lots"])
 LotName = Annotated[str, Path(pattern=ID, description="Id of the lot")]
 STONES = re.compile('-[0-9]+(?=")')
 """The number of stones in the tag of a lot."""
+Change = Callable[[Callable[..., LotDocument | None], object], Awaitable[LotDocument]]
+"""Makes a change of a lot, such as `close_lot`, with what is given for it; returns the lot after it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,30 +129,32 @@ async def get_lot(context: Context, asked: HttpRequest, response: Response, lot:
     return unchanged(asked, _tag(record)) or _served(response, record)
 
 
+async def change_of(
+    context: Context, lot: LotName, asking: Who, response: Response, if_match: IfMatch = None
+) -> Change:
+    """Return the function that changes a lot; for `If-Match`, stones that fell meanwhile are no change."""
+
+    def version(connection: sqlite3.Connection) -> str:
+        return _tag_of_facts(existing(find_lot(connection, lot), "lot", lot))
+
+    async def changed(change: Callable[..., LotDocument | None], given: object) -> LotDocument:
+        facts = None if if_match is None else STONES.sub("", if_match)
+        found = await context.write(change_if_match, facts, version, change, lot, given, asking)
+        return _served(response, existing(found, "lot", lot))
+
+    return changed
+
+
 @router.post("/{lot}/close", response_model=LotDocument, dependencies=OPERABLE)
-async def post_close(
-    context: Context,
-    lot: LotName,
-    wanted: CloseRequest,
-    asking: Who,
-    response: Response,
-    if_match: IfMatch = None,
-) -> LotDocument:
+async def post_close(wanted: CloseRequest, changed: Annotated[Change, Depends(change_of)]) -> LotDocument:
     """Close a lot; what fell before stays in it, though it is measured later. A closed one stays as it is."""
-    return _served(response, await _changed(context, lot, if_match, close_lot, wanted.tonnage_t, asking))
+    return await changed(close_lot, wanted.tonnage_t)
 
 
 @router.post("/{lot}/void", response_model=LotDocument, dependencies=OPERABLE)
-async def post_void(
-    context: Context,
-    lot: LotName,
-    wanted: VoidRequest,
-    asking: Who,
-    response: Response,
-    if_match: IfMatch = None,
-) -> LotDocument:
+async def post_void(wanted: VoidRequest, changed: Annotated[Change, Depends(change_of)]) -> LotDocument:
     """Declare a lot void: it counts no more, and is kept."""
-    return _served(response, await _changed(context, lot, if_match, void_lot, wanted.reason, asking))
+    return await changed(void_lot, wanted.reason)
 
 
 @router.post("/{lot}/assign", response_model=Assigned, dependencies=OPERABLE)
@@ -173,19 +177,3 @@ def _tag(record: LotDocument) -> str:
 
 def _tag_of_facts(record: LotDocument) -> str:
     return etag(facts_of(record) | {"n_stones": 0})
-
-
-async def _changed(
-    context: ApiContext,
-    lot: str,
-    if_match: str | None,
-    change: Callable[..., LotDocument | None],
-    *given: object,
-) -> LotDocument:
-    """Return the lot after a change; for `If-Match`, stones that fell meanwhile are no change."""
-
-    def version(connection: sqlite3.Connection) -> str:
-        return _tag_of_facts(existing(find_lot(connection, lot), "lot", lot))
-
-    facts = None if if_match is None else STONES.sub("", if_match)
-    return existing(await context.write(change_if_match, facts, version, change, lot, *given), "lot", lot)

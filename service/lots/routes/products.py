@@ -10,8 +10,8 @@ from pydantic import BaseModel, Field
 from pipeline.gradation.sieves import SieveSet
 from service.base.ids import ID, NEW_ID
 from service.lots.products import Product, ProductDefinition, find_product, products, save_product
+from service.lots.standards import read_standards
 from service.lots.yardsticks import Request, specification_names, yardstick_of
-from service.lots.yardsticks import standards as known_standards
 from service.web.auth import CONFIGURABLE, READABLE, Who
 from service.web.context import Context
 from service.web.etags import NOT_MODIFIED, IfMatch, change_if_match, etag, unchanged
@@ -48,7 +48,7 @@ async def list_products(context: Context) -> ProductsDocument:
 @router.get("/standards", dependencies=READABLE)
 async def standards() -> StandardsAnswer:
     """List the sieve sets and specifications that have a name."""
-    sets = list(known_standards().sieve_sets.values())
+    sets = list(read_standards().sieve_sets.values())
     return StandardsAnswer(sieve_sets=sets, specifications=specification_names())
 
 

@@ -12,7 +12,7 @@ from pipeline.gradation.differences import Difference, difference_in_time, signi
 from pipeline.gradation.estimates import State
 from pipeline.gradation.influences import Influences, rate_influences, share_influences, size_influences
 from pipeline.gradation.sieves import MeasuredRange
-from service.base.schema import TIME
+from service.base.schema import Time
 from service.base.status import Report
 from service.lots.comparing import ends_of
 from service.lots.figures import SHARES
@@ -65,13 +65,10 @@ class EntryChanges(Report):
     """What has changed since an entry of the diary."""
 
     entry: DiaryEntry = Field(description="The entry")
-    before_since: str = Field(
-        description="What is compared begins here: at the entry before it, at most 12 h back",
-        json_schema_extra=TIME,
+    before_since: Time = Field(
+        description="What is compared begins here: at the entry before it, at most 12 h back"
     )
-    after_until: str = Field(
-        description="It ends here: at the next entry, at most 12 h later, or now", json_schema_extra=TIME
-    )
+    after_until: Time = Field(description="It ends here: at the next entry, at most 12 h later, or now")
     n_before: int = Field(description="Measured stones before the entry")
     n_after: int = Field(description="Measured stones after it")
     figures: list[FigureChange] = Field(description="Each figure once")

@@ -14,7 +14,7 @@ from service.base.errors import InvalidRequestError
 from service.base.schema import ANSWER, REQUEST, TIME, GivenTime, Time
 from service.store import audit
 from service.store.events import EventType, NewEvent, note_event
-from service.store.schema import rows_by_name, transaction
+from service.store.schema import rows_by_name
 
 CLOCKS_DIFFER_S = 60.0
 """An entry may be so much in the future: who writes it has another clock."""
@@ -80,14 +80,13 @@ def note_entry(connection: sqlite3.Connection, new: DiaryRequest, who: str) -> D
     at = new.at or now
     if at > rfc3339(datetime.now(UTC) + timedelta(seconds=CLOCKS_DIFFER_S)):
         raise FutureEntryError(f"body.at: {at} is in the future, it is {now}")
-    with transaction(connection):
-        (number,) = connection.execute("SELECT coalesce(max(entry), 0) + 1 FROM diary").fetchone()
-        noted = DiaryEntry(**asdict(new) | {"entry": number, "at": at, "who": who, "noted_at": now})
-        connection.execute(
-            "INSERT INTO diary VALUES (:entry, :at, :kind, :text, :value, :who, :noted_at)", asdict(noted)
-        )
-        audit.note(connection, who, "diary noted", str(number), after=asdict(noted))
-        note_event(connection, NewEvent(type=EventType.DIARY_NOTED, subject=str(number), data=asdict(noted)))
+    (number,) = connection.execute("SELECT coalesce(max(entry), 0) + 1 FROM diary").fetchone()
+    noted = DiaryEntry(**asdict(new) | {"entry": number, "at": at, "who": who, "noted_at": now})
+    connection.execute(
+        "INSERT INTO diary VALUES (:entry, :at, :kind, :text, :value, :who, :noted_at)", asdict(noted)
+    )
+    audit.note(connection, who, "diary noted", str(number), after=asdict(noted))
+    note_event(connection, NewEvent(type=EventType.DIARY_NOTED, subject=str(number), data=asdict(noted)))
     return noted
 
 

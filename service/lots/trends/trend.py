@@ -12,7 +12,7 @@ from pipeline.gradation.estimates import NOT_MEASURED, Estimate
 from pipeline.gradation.estimators import sample_of, share_percent
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
-from service.base.schema import TIME
+from service.base.schema import OptionalTime, Time
 from service.base.status import Report
 from service.lots.figures import SHARES
 from service.lots.lots import LotState
@@ -32,8 +32,8 @@ MAX_MARKS = 500
 class TrendBucket(Report):
     """What fell within a part of the time."""
 
-    since: str = Field(description="Beginning, RFC 3339 UTC", json_schema_extra=TIME)
-    until: str = Field(description="End; of the last one it is now", json_schema_extra=TIME)
+    since: Time = Field(description="Beginning, RFC 3339 UTC")
+    until: Time = Field(description="End; of the last one it is now")
     n_stones: int = Field(description="Stones that fell, whatever became of them")
     measured: int = Field(description="Stones with a body and its measures")
     stones_per_min: float = Field(
@@ -53,17 +53,15 @@ class TrendLot(Report):
     lot: str = Field(description="Id of the lot")
     product: str = Field(description="Id of its product")
     state: LotState = Field(description="`open`, `closed` or `void`")
-    opened_at: str = Field(description="When it was opened, RFC 3339 UTC", json_schema_extra=TIME)
-    closed_at: str | None = Field(
-        description="When it was closed or voided, RFC 3339 UTC; null while open", json_schema_extra=TIME
-    )
+    opened_at: Time = Field(description="When it was opened, RFC 3339 UTC")
+    closed_at: OptionalTime = Field(description="When it was closed or voided, RFC 3339 UTC; null while open")
 
 
 class Trend(Report):
     """Rate, size and shape over some hours, with what was done to the crusher and which lots were open."""
 
-    since: str = Field(description="Beginning of the first bucket, RFC 3339 UTC", json_schema_extra=TIME)
-    until: str = Field(description="Now, as the host sees it", json_schema_extra=TIME)
+    since: Time = Field(description="Beginning of the first bucket, RFC 3339 UTC")
+    until: Time = Field(description="Now, as the host sees it")
     bucket_s: int = Field(description="Length of a bucket, s; the last one is not over yet")
     buckets: list[TrendBucket] = Field(description="Oldest first, also those in which nothing fell")
     diary: list[DiaryEntry] = Field(description="Entries within the time, oldest first, the newest 500")

@@ -10,8 +10,7 @@ from pydantic import Field
 
 from service.base.schema import GivenTime
 from service.particles.pages import Names, feed_page, result_stream
-from service.results.fields import Result
-from service.results.selection import UnknownFieldsError, chosen_fields
+from service.results.fields import Result, UnknownFieldsError, chosen_fields
 from service.store.reads import seq_before
 from service.web.auth import READABLE
 from service.web.context import Context

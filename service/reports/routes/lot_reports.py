@@ -1,32 +1,46 @@
-"""The reports of lots."""
+"""The reports of lots, and their gradation curves as drawings: the very ones of the report, for pages."""
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query, Response
+from fastapi import APIRouter, Depends, Path, Query, Response
 from fastapi import Request as HttpRequest
 
+from service.base.ids import ID
 from service.base.language import Language
-from service.lots.routes.lot_figures import Measuring
+from service.lots.lots import find_lot
+from service.lots.routes.lot_figures import Choosing, Measuring, Minutes, ProductId, last_minutes
 from service.lots.routes.lots import LotName
 from service.lots.yardsticks import Request
-from service.reports.lot_reports import ReportRequest, RigStanding, lot_report
-from service.reports.report import ReportFormat
+from service.reports.lot_reports import (
+    CurveRequest,
+    ReportRequest,
+    RigStanding,
+    lot_curve_svg,
+    lot_report,
+    window_curve_svg,
+)
+from service.reports.report import MEDIA_TYPES, ReportFormat
+from service.reports.words import words
 from service.web.auth import READABLE
 from service.web.context import ApiContext, Context
 from service.web.etags import Responses
 from service.web.negotiation import negotiated
 from service.web.problems import existing, problem_responses
+from service.web.shared_documents import SVG, shared, svg_answer
 
-router = APIRouter(prefix="/lots", tags=["lots"], dependencies=READABLE)
+router = APIRouter(tags=["lots"], dependencies=READABLE)
 
-OFFERS = {each: each.media_type.partition(";")[0] for each in ReportFormat}
+OFFERS = {each: name.partition(";")[0] for each, name in MEDIA_TYPES.items()}
 REPORTS: Responses = {200: {"content": {media_type: {} for media_type in OFFERS.values()}}}
 REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 """What a browser lets the HTML do: it has no scripts and loads nothing."""
 ReportLanguage = Annotated[Language, Query(description="Language of the report")]
+KEEP_S = 2.0
+"""How long a drawing is kept for others who ask for it."""
+DrawingLanguage = Annotated[Language, Query(description="Language of the drawing")]
 
 
-@router.get("/{lot}/report", response_class=Response, responses={**REPORTS, **problem_responses(406)})
+@router.get("/lots/{lot}/report", response_class=Response, responses={**REPORTS, **problem_responses(406)})
 async def report(
     context: Context,
     asked: HttpRequest,
@@ -38,7 +52,7 @@ async def report(
     return await _report(context, lot, negotiated(asked, OFFERS, "a report"), language, measuring)
 
 
-@router.get("/{lot}/report.{report_format}", response_class=Response, responses=REPORTS)
+@router.get("/lots/{lot}/report.{report_format}", response_class=Response, responses=REPORTS)
 async def report_file(
     context: Context,
     lot: LotName,
@@ -57,4 +71,59 @@ async def _report(
     content = await context.read_beside(lot_report, context.store.particles_dir, lot, wanted, report_format)
     name = f'inline; filename="{lot}.{report_format}"'
     headers = {"Content-Disposition": name, "Vary": "Accept", "Content-Security-Policy": REPORT_POLICY}
-    return Response(existing(content, "lot", lot), media_type=report_format.media_type, headers=headers)
+    return Response(existing(content, "lot", lot), media_type=MEDIA_TYPES[report_format], headers=headers)
+
+
+async def curve_request_of(
+    context: Context,
+    measuring: Measuring,
+    language: DrawingLanguage = Language.ENGLISH,
+    beside_lot: Annotated[
+        str | None, Query(pattern=ID, description="Draw the curve of this lot beside it, at the same sieves")
+    ] = None,
+    beside_algorithm_version: Annotated[
+        str | None,
+        Query(
+            max_length=200,
+            description="The curve beside it as this version measured it: of `beside_lot`, or of the same lot",
+        ),
+    ] = None,
+) -> CurveRequest:
+    """Return the request for a drawing; raise the problem 404 for an unknown lot beside it."""
+    if beside_lot is not None:
+        existing(await context.store.read(find_lot, beside_lot), "lot", beside_lot)
+    return CurveRequest(
+        figures=measuring,
+        language=language,
+        beside_lot=beside_lot,
+        beside_algorithm_version=beside_algorithm_version,
+    )
+
+
+Drawing = Annotated[CurveRequest, Depends(curve_request_of)]
+
+
+@router.get("/lots/{lot}/curve.svg", response_class=Response, responses=SVG)
+async def lot_curve(
+    context: Context, asked: HttpRequest, lot: LotName, wanted: Drawing, choosing: Choosing
+) -> Response:
+    """Draw the gradation curve of a lot: as in the report, with its limits, interval and verdicts.
+
+    A page sets its colours by the CSS variables `--sf-ink`, `--sf-paper`, `--sf-curve` ...; it says in words what it
+    shows.
+    """
+    text = await shared(context, lot_curve_svg, lot, choosing, wanted, keep_s=KEEP_S)
+    return svg_answer(asked, existing(text, "lot", lot))
+
+
+@router.get(
+    "/windows/current/curve.svg", response_class=Response, responses={**SVG, **problem_responses(404)}
+)
+async def current_curve(
+    context: Context, asked: HttpRequest, wanted: Drawing, minutes: Minutes = 60.0, product: ProductId = None
+) -> Response:
+    """Draw the gradation curve of the last minutes: of all that fell, in any lot or in none."""
+    name = words(wanted.language)("curve.last_minutes", minutes=f"{minutes:g}")
+    since, until = last_minutes(minutes)
+    text = await shared(context, window_curve_svg, since, until, product, name, wanted, keep_s=KEEP_S)
+    return svg_answer(asked, existing(text, "product", str(product)))

@@ -16,7 +16,7 @@ from service.lots.shifts import LotsSettings
 from service.lots.trends.changes import Changes
 from service.lots.trends.trend import Trend, trend
 from service.reports.changes import told_changes
-from service.reports.routes.curves import DrawingLanguage
+from service.reports.routes.lot_reports import DrawingLanguage
 from service.reports.trend import TrendFigure, stored_trend_svg
 from service.web.auth import READABLE
 from service.web.context import Context

@@ -9,8 +9,7 @@ from typer.testing import CliRunner, Result
 
 from service.base.errors import ServiceError, UsageError
 from service.commands.cli import build_app
-from service.results.fields import EMPTY
-from service.results.refinement import RUSH
+from service.results.fields import EMPTY, RUSH
 
 STONE = {
     "outcome": "measured", "kind": "particle", "quality": "good", "captured_at": "2026-03-01T10:00:00Z",

@@ -13,8 +13,7 @@ from service.health.refinement_watch import (
     RefinementTrend,
     RefinementWatch,
 )
-from service.results.fields import Result
-from service.results.refinement import RUSH
+from service.results.fields import RUSH, Result
 
 RUSHED = result(kind="particle", body="estimate", refinement_fallback=RUSH)
 

@@ -13,7 +13,7 @@ from service.processing import measure_job
 from service.processing.backgrounds import write_background
 from service.processing.measure_job import MESH, MeasureJob, RigFile, Worker, WorkerContext, measure
 from service.processing.segmenters import CLASSICAL, build_segmenter
-from service.results.refinement import RUSH
+from service.results.fields import RUSH
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,7 @@ from service.processing.measure_job import MeasureJob
 from service.processing.worker_pool import JobLostError
 from service.remeasuring.jobs import Hindrance, RemeasureError
 from service.remeasuring.remeasuring import Remeasuring
-from service.results.fields import LossReason
-from service.results.refinement import RUSH
+from service.results.fields import RUSH, LossReason
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store
 from service.store.reads import particle

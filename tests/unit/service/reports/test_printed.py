@@ -29,8 +29,8 @@ from service.base.language import Language
 from service.lots.lots import LotState
 from service.reports.content import document_of
 from service.reports.document import NamesAndValues
+from service.reports.lot_reports import RENDERERS
 from service.reports.printed import DEJAVU, render_html, render_pdf
-from service.reports.render import render
 from service.reports.report import (
     GalleryReason,
     GalleryStone,
@@ -338,14 +338,15 @@ def test_a_window_without_lot_product_and_specification_has_a_report() -> None:
     assert "Measured body" not in text
     assert "Not refined" not in text
     for report_format in ReportFormat:
-        assert render(data, report_format)
+        assert RENDERERS[report_format](data)
 
 
 @pytest.mark.parametrize("report_format", ReportFormat)
 def test_it_can_be_made_in_another_process_and_is_the_same_there(report_format: ReportFormat) -> None:
     data = report_data()
-    function, sent, asked = pickle.loads(pickle.dumps((render, data, report_format)))  # noqa: S301 - our own
-    assert function(sent, asked) == render(data, report_format)
+    render = RENDERERS[report_format]
+    function, sent = pickle.loads(pickle.dumps((render, data)))  # noqa: S301 - our own
+    assert function(sent) == render(data)
 
 
 def test_all_that_conforms_says_so() -> None:

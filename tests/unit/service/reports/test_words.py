@@ -26,8 +26,7 @@ from service.reports.content import lot_section
 from service.reports.report import GalleryReason, VerificationOutcome
 from service.reports.trend import TrendFigure
 from service.reports.words import words
-from service.results.fields import LossReason, Outcome
-from service.results.refinement import NotRefined
+from service.results.fields import LossReason, NotRefined, Outcome
 
 SOURCES = Path(__file__).parents[4] / "service" / "reports"
 FAMILIES = {

@@ -20,7 +20,7 @@ from service.lots.products import ProductDefinition, save_product
 from service.lots.stones import stones_between, stones_of_lot
 from service.remeasuring.jobs import RemeasureError
 from service.remeasuring.revising import revise
-from service.results.refinement import RUSH
+from service.results.fields import RUSH
 from service.store import ParticleFilter, Store, open_store
 from service.store.accounting import accounting
 from service.store.audit import entries
