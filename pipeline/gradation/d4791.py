@@ -6,7 +6,6 @@ mass or by number. What it says of the whole sample is the mean over these fract
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
@@ -17,6 +16,7 @@ from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.estimators import Basis, Sample, share_percent, weighted_share_percent
 from pipeline.gradation.proportions import chance_between, exceeds
 from pipeline.gradation.sieves import MeasuredRange
+from pipeline.schema import SCHEMA
 
 RATIOS = (2, 3, 4, 5)
 MIN_STONES = 100
@@ -24,71 +24,71 @@ MIN_MASS_PERCENT = 10.0
 """Share of the mass from which on a size fraction is tested."""
 
 
-class ParticleForm(StrEnum):
-    """Form of a particle by two of its dimensions."""
-
-    FLAT = "flat"
-    """Width to thickness, method A."""
-    ELONGATED = "elongated"
-    """Length to width, method A."""
-    FLAT_AND_ELONGATED = "flat_and_elongated"
-    """Length to thickness, method B."""
-
-
 DIMENSIONS = {
-    ParticleForm.FLAT: ("width_mm", "thickness_mm"),
-    ParticleForm.ELONGATED: ("length_mm", "width_mm"),
-    ParticleForm.FLAT_AND_ELONGATED: ("length_mm", "thickness_mm"),
+    "flat_percent": ("width_mm", "thickness_mm"),
+    "elongated_percent": ("length_mm", "width_mm"),
+    "flat_and_elongated_percent": ("length_mm", "thickness_mm"),
 }
-
-Shares = Mapping[ParticleForm, Mapping[int, Mapping[Basis, Estimate]]]
-"""Percent of the particles that have a form, by the ratio that is exceeded, by mass and by number."""
+"""Shares of `FlatAndElongated`, each with the two dimensions whose ratio it is judged by."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FormFraction:
-    """The particles between two neighbouring sieves."""
+class FlatAndElongated:
+    """ASTM D4791 at one ratio, percent: by mass and by number."""
 
-    size: MeasuredRange
-    mass_percent: float  # of the measured mass
+    __pydantic_config__ = SCHEMA
+
+    ratio: int
+    """Ratio of two dimensions that is judged by, such as 3 for 3:1"""
+    flat_percent: Mapping[str, Estimate]
+    """Method A: width to thickness above the ratio"""
+    elongated_percent: Mapping[str, Estimate]
+    """Method A: length to width above it"""
+    flat_and_elongated_percent: Mapping[str, Estimate]
+    """Method B: length to thickness above it"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlatAndElongatedFraction:
+    """ASTM D4791 of the particles between two neighbouring sieves of the set, with a tenth of the mass or more."""
+
+    __pydantic_config__ = SCHEMA
+
+    lower_mm: float
+    """Sieve that they are retained on, mm"""
+    upper_mm: float
+    """Sieve that they pass, mm"""
+    mass_percent: float
+    """Share of the measured mass that they are, %"""
     n_stones: int
-    shares: Shares
+    """How many they are; figures of fewer than 100 are `insufficient`"""
+    forms: Sequence[FlatAndElongated]
+    """At each ratio"""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class D4791:
-    """Shape of a lot by ASTM D4791."""
+def _forms(share: Callable[[str, int, Basis], Estimate]) -> tuple[FlatAndElongated, ...]:
+    def by_basis(name: str, ratio: int) -> Mapping[str, Estimate]:
+        return {str(basis): share(name, ratio, basis) for basis in Basis}
 
-    whole: Shares  # of all measured particles together
-    fractions: tuple[FormFraction, ...]  # by rising size, those that the standard tests
-    weighted: Shares  # the mean over these, weighted by their masses
-
-
-def d4791_of(sample: Sample, apertures_mm: Sequence[float], measured: MeasuredRange) -> D4791:
-    """Return the shares of all forms; size fractions lie between neighbouring apertures that are measured."""
-    fractions = tuple(_fractions(sample, apertures_mm, measured))
-    return D4791(
-        whole=_shares_within(sample, measured), fractions=fractions, weighted=_weighted(sample, fractions)
+    return tuple(
+        FlatAndElongated(ratio=ratio, **{name: by_basis(name, ratio) for name in DIMENSIONS})
+        for ratio in RATIOS
     )
 
 
-def _shares(share: Callable[[ParticleForm, int, Basis], Estimate]) -> Shares:
-    return {
-        form: {ratio: {basis: share(form, ratio, basis) for basis in Basis} for ratio in RATIOS}
-        for form in ParticleForm
-    }
+def forms_within(sample: Sample, size: MeasuredRange) -> tuple[FlatAndElongated, ...]:
+    """Return the shares of all forms at each ratio, of the particles of these sizes."""
+
+    def share(name: str, ratio: int, basis: Basis) -> Estimate:
+        return share_percent(sample, exceeds(*DIMENSIONS[name], ratio, [size]), basis, min_stones=MIN_STONES)
+
+    return _forms(share)
 
 
-def _shares_within(sample: Sample, size: MeasuredRange) -> Shares:
-    def share(form: ParticleForm, ratio: int, basis: Basis) -> Estimate:
-        return share_percent(sample, exceeds(*DIMENSIONS[form], ratio, [size]), basis, min_stones=MIN_STONES)
-
-    return _shares(share)
-
-
-def _fractions(
+def fractions_of(
     sample: Sample, apertures_mm: Sequence[float], measured: MeasuredRange
-) -> Iterator[FormFraction]:
+) -> Iterator[FlatAndElongatedFraction]:
+    """Yield the fractions that the standard tests, by rising size, between neighbouring apertures that are measured."""
     volumes_mm3 = sample.lot.column("volume_mm3")
     sieves_mm = sorted({sieve_mm for sieve_mm in apertures_mm if sieve_mm in measured})
     for size in (MeasuredRange(min_mm=low_mm, max_mm=high_mm) for low_mm, high_mm in pairwise(sieves_mm)):
@@ -97,28 +97,32 @@ def _fractions(
             continue
         mass_percent = 100 * float(volumes_mm3[is_inside].sum() / volumes_mm3.sum())
         if mass_percent >= MIN_MASS_PERCENT:
-            yield FormFraction(
-                size=size,
+            yield FlatAndElongatedFraction(
+                lower_mm=size.min_mm,
+                upper_mm=size.max_mm,
                 mass_percent=mass_percent,
                 n_stones=int(is_inside.sum()),
-                shares=_shares_within(sample.near(size.min_mm, size.max_mm), size),
+                forms=forms_within(sample.near(size.min_mm, size.max_mm), size),
             )
 
 
-def _weighted(sample: Sample, fractions: Sequence[FormFraction]) -> Shares:
+def weighted_forms(
+    sample: Sample, fractions: Sequence[FlatAndElongatedFraction]
+) -> tuple[FlatAndElongated, ...]:
     """Return the mean over the fractions: a share in which each stone stands for a mean stone of its fraction."""
-    sizes = [fraction.size for fraction in fractions]
+    sizes = [MeasuredRange(min_mm=each.lower_mm, max_mm=each.upper_mm) for each in fractions]
     by_mass = sample.weights(Basis.MASS)
     weights = {Basis.MASS: by_mass, Basis.NUMBER: (_mean_masses(sample, sizes), np.zeros_like(by_mass[0]))}
 
     spans = _joined(sizes)
 
-    def share(form: ParticleForm, ratio: int, basis: Basis) -> Estimate:
-        mean = weighted_share_percent(sample, exceeds(*DIMENSIONS[form], ratio, spans), *weights[basis])
-        parts = [fraction.shares[form][ratio][basis].state for fraction in fractions]
+    def share(name: str, ratio: int, basis: Basis) -> Estimate:
+        mean = weighted_share_percent(sample, exceeds(*DIMENSIONS[name], ratio, spans), *weights[basis])
+        at_ratio = (each for fraction in fractions for each in fraction.forms if each.ratio == ratio)
+        parts = [getattr(each, name)[basis].state for each in at_ratio]
         return replace(mean, state=State.INSUFFICIENT) if State.INSUFFICIENT in parts else mean
 
-    return _shares(share)
+    return _forms(share)
 
 
 def _joined(sizes: Sequence[MeasuredRange]) -> list[MeasuredRange]:

@@ -15,7 +15,7 @@ from pipeline.gradation.curve import (
 )
 from pipeline.gradation.estimates import NOT_MEASURED, Estimate
 from pipeline.gradation.estimators import effective_number, sample_of
-from pipeline.gradation.indices import EN_933_3, FlakinessFraction, LotIndices, indices_of
+from pipeline.gradation.indices import EN_933_3, FlakinessFraction, ShapeIndices, indices_of
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
 from pipeline.gradation.stones import Lot, Unmeasured, unmeasured_mass
 
@@ -30,7 +30,7 @@ class Gradation:
     curve: tuple[CurvePoint, ...]  # by rising sieve
     quantiles_interpolated_mm: Mapping[int, Estimate]  # D10...D90 by percent: log-linear between the sieves
     quantiles_exact_mm: Mapping[int, Estimate]  # the same from the stones themselves
-    indices: LotIndices
+    indices: ShapeIndices
     unmeasured: Unmeasured
     measured: MeasuredRange
     scale_sd: float

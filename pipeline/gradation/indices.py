@@ -1,7 +1,7 @@
 """Indices of shape and of the whole curve, each by its standard."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import exp, hypot, sqrt
 from typing import NamedTuple
 
@@ -9,7 +9,13 @@ import numpy as np
 
 from pipeline.arrays import Values
 from pipeline.gradation.curve import SizeQuantile
-from pipeline.gradation.d4791 import D4791, d4791_of
+from pipeline.gradation.d4791 import (
+    FlatAndElongated,
+    FlatAndElongatedFraction,
+    forms_within,
+    fractions_of,
+    weighted_forms,
+)
 from pipeline.gradation.estimates import (
     NOT_MEASURED,
     Errors,
@@ -69,8 +75,8 @@ FINENESS_SIEVES_MM = (0.15, 0.3, 0.6, 1.18, 2.36, 4.75, 9.5, 19.0, 37.5, 75.0, 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Indices:
-    """Figures of the whole lot that are one number, each by its standard; reports and REST have them as they are."""
+class ShapeIndices:
+    """Figures of the whole lot beside its curve."""
 
     __pydantic_config__ = SCHEMA
 
@@ -90,13 +96,17 @@ class Indices:
     """SI, EN 933-4"""
     needle_flaky_percent: Estimate
     """JTG 3432 T 0312"""
+    flat_and_elongated: Sequence[FlatAndElongated]
+    """ASTM D4791 at each ratio, of all particles together"""
+    flat_and_elongated_fractions: Sequence[FlatAndElongatedFraction]
+    """ASTM D4791 of each size fraction that holds 10 % of the mass or more, by rising size"""
+    flat_and_elongated_weighted: Sequence[FlatAndElongated]
+    """ASTM D4791 at each ratio, the mean over these fractions, weighted by their masses; `insufficient` where one of
+    them is"""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LotIndices(Indices):
-    """All indices of a lot."""
-
-    d4791: D4791
+INDICES = tuple(each.name for each in fields(ShapeIndices) if each.type is Estimate)
+"""Those that are one number, each by its standard."""
 
 
 def indices_of(
@@ -105,14 +115,15 @@ def indices_of(
     fractions: Sequence[FlakinessFraction],
     apertures_mm: Sequence[float],
     measured: MeasuredRange,
-) -> LotIndices:
+) -> ShapeIndices:
     """Return all indices, over the sizes that are measured and that the standard is for.
 
     `fractions` are those of the flakiness index; those of ASTM D4791 lie between neighbouring apertures.
     """
     d10, d30, d60 = (quantiles.get(percent) for percent in (10, 30, 60))
 
-    return LotIndices(
+    tested = tuple(fractions_of(sample, apertures_mm, measured))
+    return ShapeIndices(
         fineness_modulus=ratio_of_sums(sample, _fineness(measured)),
         uniformity=_power_product(((d60, 1), (d10, -1))),
         curvature=_power_product(((d30, 2), (d10, -1), (d60, -1))),
@@ -123,7 +134,9 @@ def indices_of(
         needle_flaky_percent=share_percent(
             sample, is_non_cubical(measured, NEEDLE_RANGE_MM), min_stones=MIN_NEEDLE_STONES
         ),
-        d4791=d4791_of(sample, apertures_mm, measured),
+        flat_and_elongated=forms_within(sample, measured),
+        flat_and_elongated_fractions=tested,
+        flat_and_elongated_weighted=weighted_forms(sample, tested),
     )
 
 

@@ -22,7 +22,9 @@ from drivers.files.recording import open_recording, require_rig_of
 from drivers.files.rig_file import read_rig
 from pipeline.carving import CarvingField
 from pipeline.gradation.curve import PERCENTS
+from pipeline.gradation.d4791 import DIMENSIONS
 from pipeline.gradation.evaluation import evaluate
+from pipeline.gradation.indices import INDICES
 from pipeline.gradation.sieves import ALL_SIZES
 from pipeline.meshing import Mesher
 from pipeline.paper import PAPER
@@ -199,7 +201,32 @@ def _gradation(records: list[dict[str, Any]], rig: RigCalibration) -> dict[str, 
         "quantiles_mm": {f"D{p}": counted.quantiles_interpolated_mm[p].value for p in PERCENTS},
         **found,
         "unmeasured": {"n_stones": unmeasured["n_stones"], "counts": counts, **unmeasured},
-        "indices": {name.removesuffix("_percent"): each for name, each in found["indices"].items()},
+        "indices": {name.removesuffix("_percent"): found["indices"][name] for name in INDICES}
+        | {"d4791": _d4791(found["indices"])},
+    }
+
+
+def _d4791(indices: dict[str, Any]) -> dict[str, Any]:
+    """Return flat and elongated particles by form, then by ratio."""
+
+    def by_form(forms: list[dict[str, Any]]) -> dict[str, Any]:
+        return {
+            name.removesuffix("_percent"): {form["ratio"]: form[name] for form in forms}
+            for name in DIMENSIONS
+        }
+
+    return {
+        "whole": by_form(indices["flat_and_elongated"]),
+        "fractions": [
+            {
+                "size": {"min_mm": part["lower_mm"], "max_mm": part["upper_mm"]},
+                "mass_percent": part["mass_percent"],
+                "n_stones": part["n_stones"],
+                "shares": by_form(part["forms"]),
+            }
+            for part in indices["flat_and_elongated_fractions"]
+        ],
+        "weighted": by_form(indices["flat_and_elongated_weighted"]),
     }
 
 

@@ -149,11 +149,8 @@ def _influences(
 ) -> Iterator[tuple[str, Influences | None]]:
     """Yield the figures by their names, each with the influences of the measured stones in their order."""
     for sieve_mm in sieves_mm:
-        is_inside = sieve_mm in measured
-        yield (
-            f"passing_{sieve_mm:g}_mm_percent",
-            share_influences(stones.lot, passes(sieve_mm)) if is_inside else None,
-        )
+        found = share_influences(stones.lot, passes(sieve_mm)) if sieve_mm in measured else None
+        yield f"passing_{sieve_mm:g}_mm_percent", found
     for percent in PERCENTS:
         yield f"d{percent}_mm", size_influences(stones.lot, percent, measured)
     for name, property_of in SHARES.items():

@@ -11,26 +11,20 @@ from pydantic import BaseModel
 from pipeline.frames import rfc3339
 from pipeline.gradation.correlation import correlated
 from pipeline.gradation.curve import curve_of
-from pipeline.gradation.d4791 import RATIOS, ParticleForm, Shares
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.estimators import sample_of
 from pipeline.gradation.evaluation import Gradation, evaluate
-from pipeline.gradation.indices import LotIndices
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.specification import Decision, LotJudgement, Verdict, judge
 from pipeline.gradation.stones import Fate, Lot
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
 from service.lots.figures import (
-    INDICES,
     CorrelatedCurve,
     CorrelatedStep,
     CurveStep,
-    FlatAndElongated,
-    FlatAndElongatedFraction,
     LotFigures,
     ProductDocument,
     Quantile,
-    ShapeIndices,
 )
 from service.lots.laboratory import CorrelationDocument, correlations
 from service.lots.lots import LotDocument, find_lot
@@ -134,8 +128,11 @@ def figures_of(
         specification_source=None if specification is None else specification.source,
         curve=_curve(gradation, judgement),
         correlated=None if correlation is None else _correlated(stones.lot, correlation, yardstick),
-        quantiles=_quantiles(gradation),
-        indices=_indices(gradation.indices),
+        quantiles=[
+            Quantile(percent=percent, interpolated_mm=each, exact_mm=gradation.quantiles_exact_mm[percent])
+            for percent, each in sorted(gradation.quantiles_interpolated_mm.items())
+        ],
+        indices=gradation.indices,
         flakiness_decision=None if judgement is None else judgement.flakiness,
         shape_decision=None if judgement is None else judgement.shape,
         verdict=None if judgement is None else judgement.verdict,
@@ -196,42 +193,3 @@ def _correlated(lot: Lot, correlation: CorrelationDocument, yardstick: Yardstick
         held_out_rmse=correlation.held_out_rmse,
         curve=[CorrelatedStep(sieve_mm=sieve_mm, passing_percent=each) for sieve_mm, each in passing.items()],
     )
-
-
-def _quantiles(gradation: Gradation) -> list[Quantile]:
-    return [
-        Quantile(
-            percent=percent, interpolated_mm=interpolated, exact_mm=gradation.quantiles_exact_mm[percent]
-        )
-        for percent, interpolated in sorted(gradation.quantiles_interpolated_mm.items())
-    ]
-
-
-def _indices(found: LotIndices) -> ShapeIndices:
-    d4791 = found.d4791
-    fractions = [
-        FlatAndElongatedFraction(
-            lower_mm=fraction.size.min_mm,
-            upper_mm=fraction.size.max_mm,
-            mass_percent=fraction.mass_percent,
-            n_stones=fraction.n_stones,
-            forms=_forms(fraction.shares),
-        )
-        for fraction in d4791.fractions
-    ]
-    return ShapeIndices(
-        **{name: getattr(found, name) for name in INDICES},
-        flat_and_elongated=_forms(d4791.whole),
-        flat_and_elongated_fractions=fractions,
-        flat_and_elongated_weighted=_forms(d4791.weighted),
-    )
-
-
-def _forms(shares: Shares) -> list[FlatAndElongated]:
-    def by_basis(form: ParticleForm, ratio: int) -> dict[str, Estimate]:
-        return {str(basis): each for basis, each in shares[form][ratio].items()}
-
-    return [
-        FlatAndElongated(ratio=ratio, **{f"{form}_percent": by_basis(form, ratio) for form in ParticleForm})
-        for ratio in RATIOS
-    ]

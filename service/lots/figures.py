@@ -1,17 +1,17 @@
 """The figures of a lot as REST returns them and the report prints them."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from pydantic import Field
 
+from pipeline.gradation.d4791 import DIMENSIONS, FlatAndElongated
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.estimators import Property
-from pipeline.gradation.indices import Indices, is_flaky, is_non_cubical
+from pipeline.gradation.indices import INDICES, ShapeIndices, is_flaky, is_non_cubical
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.specification import Decision, Verdict
 from pipeline.gradation.stones import Unmeasured
-from service.base.schema import OptionalTime, adds_to
+from service.base.schema import OptionalTime
 from service.base.status import Report
 from service.lots.lots import LotDocument
 
@@ -48,42 +48,6 @@ class Quantile(Report):
     percent: int = Field(description="Share of the mass, %: 50 is the median D50")
     interpolated_mm: Estimate = Field(description="Log-linear between neighbouring sieves")
     exact_mm: Estimate = Field(description="From the stones themselves")
-
-
-class FlatAndElongated(Report):
-    """ASTM D4791 at one ratio, percent: by mass and by number."""
-
-    ratio: int = Field(description="Ratio of two dimensions that is judged by, such as 3 for 3:1")
-    flat_percent: Mapping[str, Estimate] = Field(description="Method A: width to thickness above the ratio")
-    elongated_percent: Mapping[str, Estimate] = Field(description="Method A: length to width above it")
-    flat_and_elongated_percent: Mapping[str, Estimate] = Field(
-        description="Method B: length to thickness above it"
-    )
-
-
-class FlatAndElongatedFraction(Report):
-    """ASTM D4791 of the particles between two neighbouring sieves of the set, with a tenth of the mass or more."""
-
-    lower_mm: float = Field(description="Sieve that they are retained on, mm")
-    upper_mm: float = Field(description="Sieve that they pass, mm")
-    mass_percent: float = Field(description="Share of the measured mass that they are, %")
-    n_stones: int = Field(description="How many they are; figures of fewer than 100 are `insufficient`")
-    forms: list[FlatAndElongated] = Field(description="At each ratio")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShapeIndices(Indices):
-    """Figures of the whole lot beside its curve."""
-
-    __pydantic_config__ = adds_to(Indices)
-
-    flat_and_elongated: Sequence[FlatAndElongated]
-    """ASTM D4791 at each ratio, of all particles together"""
-    flat_and_elongated_fractions: Sequence[FlatAndElongatedFraction]
-    """ASTM D4791 of each size fraction that holds 10 % of the mass or more, by rising size"""
-    flat_and_elongated_weighted: Sequence[FlatAndElongated]
-    """ASTM D4791 at each ratio, the mean over these fractions, weighted by their masses; `insufficient` where one of
-    them is"""
 
 
 class ProductDocument(Report):
@@ -167,8 +131,6 @@ class LotFigures(Report):
         return str(self.correlated.version) if self.correlated else None
 
 
-INDICES = tuple(each.name for each in fields(Indices))
-"""The figures of a lot beside its curve and ASTM D4791."""
 SHARES: Mapping[str, Callable[[MeasuredRange], Property]] = {
     "flakiness_percent": is_flaky,
     "shape_percent": is_non_cubical,
@@ -191,9 +153,9 @@ def decision_on(figures: LotFigures, index: str) -> Decision | None:
 def shares_of(forms: Iterable[FlatAndElongated]) -> Iterator[tuple[int, str, str, Estimate]]:
     """Yield the shares of ASTM D4791: ratio, name in `FlatAndElongated`, basis that was counted by, figure."""
     for form in forms:
-        for name, by in form:
-            if name != "ratio":
-                yield from ((form.ratio, name, counted, figure) for counted, figure in by.items())
+        for name in DIMENSIONS:
+            for counted, figure in getattr(form, name).items():
+                yield form.ratio, name, counted, figure
 
 
 def named_figures(figures: LotFigures) -> dict[str, Estimate]:

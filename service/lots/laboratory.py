@@ -53,11 +53,10 @@ class Sieving:
     def __post_init__(self) -> None:
         if not self.retained_g or not all(0 < sieve_mm < math.inf for sieve_mm in self.retained_g):
             raise SievingError("retained_g: needs sieves with apertures above 0 mm")
-        for sieve_mm, grams in self.retained_g.items():
+        weighed_g = {f"retained_g: {sieve_mm:g} mm": grams for sieve_mm, grams in self.retained_g.items()}
+        for name, grams in [*weighed_g.items(), ("pan_g", self.pan_g)]:
             if not 0 <= grams < 1e7:
-                raise SievingError(f"retained_g: {sieve_mm:g} mm: must be grams from 0, not {grams:g}")
-        if not 0 <= self.pan_g < 1e7:
-            raise SievingError(f"pan_g: must be grams from 0, not {self.pan_g:g}")
+                raise SievingError(f"{name}: must be grams from 0, not {grams:g}")
         if self.mass_g <= 0:
             raise SievingError("retained_g: nothing was weighed")
 

@@ -229,11 +229,7 @@ def stone_of(record: Mapping[str, Any]) -> Stone | UnmeasuredStone:
 
 def _deviations(volume_sd_percent: Number, surface_sd_mm: Number) -> dict[str, Number]:
     size_sd_mm = SURFACES * surface_sd_mm
-    return {
-        "volume_sd": volume_sd_percent / 100,
-        "sieve_size_sd_mm": size_sd_mm,
-        "feret_sd_mm": size_sd_mm,
-    }
+    return {"volume_sd": volume_sd_percent / 100, "sieve_size_sd_mm": size_sd_mm, "feret_sd_mm": size_sd_mm}
 
 
 def lot_of_columns(rows: Sequence[Sequence[float | None]]) -> Lot:

@@ -5,9 +5,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from io import StringIO
 
+from pipeline.gradation.d4791 import FlatAndElongated
 from pipeline.gradation.estimates import Estimate
+from pipeline.gradation.indices import INDICES
 from pipeline.gradation.specification import Decision
-from service.lots.figures import INDICES, FlatAndElongated, LotFigures, decision_on, shares_of, unit_of
+from service.lots.figures import LotFigures, decision_on, shares_of, unit_of
 from service.reports.report import ReportData, Scalar
 from service.reports.words import plain
 

@@ -1,8 +1,9 @@
 """The figures of a lot as tables: gradation, indices, and the laboratory's beside the instrument's."""
 
 from pipeline.gradation.estimates import Estimate, State
+from pipeline.gradation.indices import ShapeIndices
 from pipeline.gradation.specification import Decision
-from service.lots.figures import LotFigures, ShapeIndices, decision_on, unit_of
+from service.lots.figures import LotFigures, decision_on, unit_of
 from service.lots.laboratory import StoredSieving
 from service.reports.curve import gradation_curve
 from service.reports.document import DASH, Block, Column, Note, Picture, Section, Table

@@ -8,9 +8,10 @@ from math import isfinite
 from xlsxwriter import Workbook
 from xlsxwriter.worksheet import Worksheet
 
+from pipeline.gradation.d4791 import FlatAndElongated
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.specification import Decision
-from service.lots.figures import FlatAndElongated, shares_of
+from service.lots.figures import shares_of
 from service.reports.content import accounted, calibration, document_of, uncertainty, versions
 from service.reports.csv_file import accounting_rows
 from service.reports.document import NamesAndValues, Note

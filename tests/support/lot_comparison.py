@@ -9,13 +9,12 @@ import numpy as np
 from support.rendered_lots import ALL_CAMERAS, Row
 
 from pipeline.arrays import Values
-from pipeline.gradation.d4791 import ParticleForm
 from pipeline.gradation.estimates import Estimate, State
-from pipeline.gradation.estimators import Basis
 from pipeline.gradation.evaluation import Gradation, evaluate
 from pipeline.gradation.sieves import OF_THE_RIG
 from pipeline.gradation.stones import Lot, Stone, UnmeasuredStone, lot_of
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
+from service.lots.figures import shares_of
 from service.lots.standards import read_standards
 
 SETS = ("en-basic-2", "r20", "astm-c136")
@@ -150,10 +149,11 @@ def index_figures(truth: Gradation, lot: Gradation) -> list[Figure]:
         "needle-flaky": (true.needle_flaky_percent, mine.needle_flaky_percent, None),
         "fineness modulus": (true.fineness_modulus, mine.fineness_modulus, None),
     }
-    for form in ParticleForm:
-        for basis in Basis:
-            of_true, of_mine = (each.d4791.whole[form][3][basis] for each in (true, mine))
-            figures[f"D4791 {form.replace('_', ' ')} 3:1 by {basis}"] = (of_true, of_mine, None)
+    shares = zip(shares_of(true.flat_and_elongated), shares_of(mine.flat_and_elongated), strict=True)
+    for (ratio, name, basis, of_true), (*_, of_mine) in shares:
+        if ratio == 3:
+            form = name.removesuffix("_percent").replace("_", " ")
+            figures[f"D4791 {form} 3:1 by {basis}"] = (of_true, of_mine, None)
     for percent, found in lot.quantiles_exact_mm.items():
         figures[f"D{percent}, mm"] = (truth.quantiles_exact_mm[percent], found, None)
     return [

@@ -7,20 +7,18 @@ from typing import Any
 import cv2
 import numpy as np
 
+from pipeline.gradation.d4791 import FlatAndElongated, FlatAndElongatedFraction
 from pipeline.gradation.estimates import Estimate, State
+from pipeline.gradation.indices import INDICES, ShapeIndices
 from pipeline.gradation.specification import Decision, Range, Verdict
 from pipeline.gradation.stones import Unmeasured
 from service.lots.figures import (
-    INDICES,
     CorrelatedCurve,
     CorrelatedStep,
     CurveStep,
-    FlatAndElongated,
-    FlatAndElongatedFraction,
     LotFigures,
     ProductDocument,
     Quantile,
-    ShapeIndices,
 )
 from service.lots.laboratory import Sieving, StoredSieving
 from service.lots.lots import LotDocument, LotState

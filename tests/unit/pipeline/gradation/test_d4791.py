@@ -10,19 +10,28 @@ from hypothesis import strategies as st
 from support.extents import examples
 from support.stones import box, round_stone
 
-from pipeline.gradation.d4791 import D4791, FormFraction, ParticleForm
-from pipeline.gradation.estimates import State
+from pipeline.gradation.d4791 import DIMENSIONS, FlatAndElongated, FlatAndElongatedFraction
+from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.estimators import Basis
 from pipeline.gradation.evaluation import evaluate
+from pipeline.gradation.indices import ShapeIndices
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
 from pipeline.gradation.stones import MEASURES, Lot, Stone, lot_of, merge
 
-BOTH = ParticleForm.FLAT_AND_ELONGATED
+BOTH = "flat_and_elongated_percent"
 SIEVES = (4.75, 9.5, 12.5, 19.0, 25.0)
 
 
-def d4791(stones: Sequence[Stone], measured: MeasuredRange = OF_THE_RIG) -> D4791:
-    return evaluate(lot_of(stones), SIEVES, measured=measured).indices.d4791
+def d4791(stones: Sequence[Stone], measured: MeasuredRange = OF_THE_RIG) -> ShapeIndices:
+    return evaluate(lot_of(stones), SIEVES, measured=measured).indices
+
+
+def share(
+    forms: Sequence[FlatAndElongated], ratio: int = 3, basis: Basis = Basis.NUMBER, form: str = BOTH
+) -> Estimate:
+    (at_ratio,) = (each for each in forms if each.ratio == ratio)
+    found: Estimate = getattr(at_ratio, form)[basis]
+    return found
 
 
 def particle(size_mm: float, volume_mm3: float, *, long: bool = False) -> Stone:
@@ -41,67 +50,75 @@ BY_HAND = [
 
 
 def test_vector_f3() -> None:
-    found = d4791([box((10.0, 20.0, 40.0), 20.0)]).whole
+    found = d4791([box((10.0, 20.0, 40.0), 20.0)]).flat_and_elongated
     for basis in Basis:
-        assert found[ParticleForm.FLAT][3][basis].value == found[ParticleForm.ELONGATED][3][basis].value == 0
-        assert found[BOTH][3][basis].value == 100
-        assert found[BOTH][5][basis].value == 0
+        assert share(found, 3, basis, "flat_percent").value == 0
+        assert share(found, 3, basis, "elongated_percent").value == 0
+        assert share(found, 3, basis).value == 100
+        assert share(found, 5, basis).value == 0
 
 
 def test_shares_by_mass_and_by_number_differ() -> None:
-    of = d4791([box((2.5, 5.0, 10.0), 5.0), round_stone(10.0, 900.0)]).whole[BOTH][3]
-    assert of[Basis.NUMBER].value == 50
-    assert of[Basis.MASS].value == pytest.approx(100 * 125 / 1025)
+    found = d4791([box((2.5, 5.0, 10.0), 5.0), round_stone(10.0, 900.0)]).flat_and_elongated
+    assert share(found).value == 50
+    assert share(found, 3, Basis.MASS).value == pytest.approx(100 * 125 / 1025)
 
 
 def test_the_vector_by_hand_is_tested_size_by_size() -> None:
     found = d4791(BY_HAND)
-    assert [(each.size.min_mm, each.size.max_mm, each.n_stones) for each in found.fractions] == [
+    assert [(each.lower_mm, each.upper_mm, each.n_stones) for each in found.flat_and_elongated_fractions] == [
         (9.5, 12.5, 4),
         (12.5, 19.0, 3),
     ]
-    small, large = found.fractions
+    small, large = found.flat_and_elongated_fractions
     assert (small.mass_percent, large.mass_percent) == pytest.approx((100 * 4 / 14, 100 * 9 / 14))
     assert values(small) == pytest.approx((17.5, 25.0))
     assert values(large) == pytest.approx((50.0, 100 / 3))
-    assert found.weighted[BOTH][3][Basis.MASS].value == pytest.approx((4 * 17.5 + 9 * 50) / 13)
-    assert found.weighted[BOTH][3][Basis.NUMBER].value == pytest.approx((4 * 25 + 9 * 100 / 3) / 13)
-    assert found.weighted[BOTH][4][Basis.NUMBER].value == 0, "four times is not more than four times"
-    assert found.whole[BOTH][3][Basis.NUMBER].value == pytest.approx(100 * 3 / 8)
+    assert share(found.flat_and_elongated_weighted, 3, Basis.MASS).value == pytest.approx(
+        (4 * 17.5 + 9 * 50) / 13
+    )
+    assert share(found.flat_and_elongated_weighted).value == pytest.approx((4 * 25 + 9 * 100 / 3) / 13)
+    assert share(found.flat_and_elongated_weighted, 4).value == 0, "four times is not more than four times"
+    assert share(found.flat_and_elongated).value == pytest.approx(100 * 3 / 8)
 
 
-def values(fraction: FormFraction) -> tuple[float | None, float | None]:
-    of = fraction.shares[BOTH][3]
-    return of[Basis.MASS].value, of[Basis.NUMBER].value
+def sizes(found: ShapeIndices) -> list[tuple[float, float]]:
+    return [(each.lower_mm, each.upper_mm) for each in found.flat_and_elongated_fractions]
+
+
+def values(fraction: FlatAndElongatedFraction) -> tuple[float | None, float | None]:
+    return share(fraction.forms, 3, Basis.MASS).value, share(fraction.forms).value
 
 
 def test_a_stone_as_large_as_a_sieve_is_in_the_fraction_below_it() -> None:
-    assert [each.size.max_mm for each in d4791([particle(12.5, 1.0)]).fractions] == [12.5]
+    assert [each.upper_mm for each in d4791([particle(12.5, 1.0)]).flat_and_elongated_fractions] == [12.5]
 
 
 def test_only_fractions_that_are_measured_whole_are_tested() -> None:
     found = d4791(BY_HAND, MeasuredRange(min_mm=4.0, max_mm=18.0))
-    assert [each.size.max_mm for each in found.fractions] == [12.5]
-    for form in ParticleForm:
+    assert [each.upper_mm for each in found.flat_and_elongated_fractions] == [12.5]
+    for form in DIMENSIONS:
         for basis in Basis:
-            assert found.weighted[form][3][basis].value == found.fractions[0].shares[form][3][basis].value
+            mean = share(found.flat_and_elongated_weighted, 3, basis, form)
+            assert mean.value == share(found.flat_and_elongated_fractions[0].forms, 3, basis, form).value
 
 
 def test_without_a_fraction_there_is_no_mean() -> None:
-    found = evaluate(lot_of(BY_HAND), (8.0,)).indices.d4791
-    assert found.fractions == ()
-    assert found.weighted[BOTH][3][Basis.MASS].state is State.NOT_MEASURED
-    assert d4791([]).whole[BOTH][3][Basis.MASS].state is State.NOT_MEASURED
+    found = evaluate(lot_of(BY_HAND), (8.0,)).indices
+    assert found.flat_and_elongated_fractions == ()
+    assert share(found.flat_and_elongated_weighted, 3, Basis.MASS).state is State.NOT_MEASURED
+    assert share(d4791([]).flat_and_elongated, 3, Basis.MASS).state is State.NOT_MEASURED
 
 
 def test_a_hundred_particles_of_each_size_are_needed() -> None:
     many, few = [particle(11.0, 1.0)] * 100, [particle(15.0, 1.0)] * 99
     found = d4791([*many, *few])
-    states = [each.shares[BOTH][3][Basis.NUMBER].state for each in found.fractions]
+    states = [share(each.forms).state for each in found.flat_and_elongated_fractions]
     assert states == [State.MEASURED, State.INSUFFICIENT]
-    assert found.weighted[BOTH][3][Basis.NUMBER].state is State.INSUFFICIENT
-    assert found.whole[BOTH][3][Basis.NUMBER].state is State.MEASURED
-    assert d4791([*many, *few, few[0]]).weighted[BOTH][3][Basis.NUMBER].state is State.MEASURED
+    assert share(found.flat_and_elongated_weighted).state is State.INSUFFICIENT
+    assert share(found.flat_and_elongated).state is State.MEASURED
+    enough = d4791([*many, *few, few[0]])
+    assert share(enough.flat_and_elongated_weighted).state is State.MEASURED
 
 
 @st.composite
@@ -130,7 +147,7 @@ def lots(draw: st.DrawFn) -> list[Stone]:
 def test_merged_equals_the_batch_to_the_last_digit(stones: list[Stone], cut: int, seed: int) -> None:
     shuffled = [stones[i] for i in np.random.default_rng(seed).permutation(len(stones))]
     merged = merge(lot_of(shuffled[cut:]), lot_of(shuffled[:cut]))
-    batch, again = (evaluate(lot, SIEVES, scale_sd=0.001).indices.d4791 for lot in (lot_of(stones), merged))
+    batch, again = (evaluate(lot, SIEVES, scale_sd=0.001).indices for lot in (lot_of(stones), merged))
     assert repr(again) == repr(batch)
 
 
@@ -138,11 +155,11 @@ def test_merged_equals_the_batch_to_the_last_digit(stones: list[Stone], cut: int
 @given(stones=lots())
 def test_the_mean_is_that_of_the_fractions_and_within_its_interval(stones: list[Stone]) -> None:
     found = d4791(stones)
-    masses = [each.mass_percent for each in found.fractions]
-    for form in ParticleForm:
+    masses = [each.mass_percent for each in found.flat_and_elongated_fractions]
+    for form in DIMENSIONS:
         for basis in Basis:
-            mean = found.weighted[form][3][basis]
-            parts = [each.shares[form][3][basis].value for each in found.fractions]
+            mean = share(found.flat_and_elongated_weighted, 3, basis, form)
+            parts = [share(each.forms, 3, basis, form).value for each in found.flat_and_elongated_fractions]
             if not masses:
                 assert mean.value is None
                 continue
@@ -173,12 +190,12 @@ def test_the_intervals_of_the_mean_hold_the_truth() -> None:
         600,
         (9.5, 12.5, 16.0, 22.0),
     )  # each with a fifth or more
-    truth = evaluate(fallen(300_000, rng), sieves_mm).indices.d4791
+    truth = evaluate(fallen(300_000, rng), sieves_mm).indices
     held = dict.fromkeys(Basis, 0)
     for _ in range(n_lots):
-        found = evaluate(fallen(600, rng), sieves_mm).indices.d4791
-        assert [each.size for each in found.fractions] == [each.size for each in truth.fractions]
+        found = evaluate(fallen(600, rng), sieves_mm).indices
+        assert sizes(found) == sizes(truth)
         for basis in Basis:
-            mean, true = (each.weighted[BOTH][3][basis] for each in (found, truth))
+            mean, true = (share(each.flat_and_elongated_weighted, 3, basis) for each in (found, truth))
             held[basis] += (mean.low or 0.0) <= (true.value or 0.0) <= (mean.high or 0.0)
     assert all(92.5 <= 100 * n_held / n_lots <= 98.0 for n_held in held.values()), held

@@ -8,7 +8,7 @@ from support.stones import box, round_stone
 
 from pipeline.gradation.estimates import State
 from pipeline.gradation.evaluation import evaluate
-from pipeline.gradation.indices import Indices
+from pipeline.gradation.indices import ShapeIndices
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
 from pipeline.gradation.stones import MEASURES, OPTIONAL, Stone, lot_of
 
@@ -20,7 +20,7 @@ F1 = [
 ]
 
 
-def indices(stones: list[Stone], measured: MeasuredRange = OF_THE_RIG) -> Indices:
+def indices(stones: list[Stone], measured: MeasuredRange = OF_THE_RIG) -> ShapeIndices:
     return evaluate(lot_of(stones), (), measured=measured).indices
 
 

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from support.extents import examples
 
 from pipeline.arrays import Matrix33
-from pipeline.gradation.d4791 import ParticleForm
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.estimators import Basis
 from pipeline.gradation.evaluation import Gradation, evaluate
@@ -58,9 +57,9 @@ def figures(of: Gradation) -> dict[str, Estimate]:
     shares = {f"passing {point.sieve_mm:g} mm": point.by_mass for point in of.curve}
     shares |= {f"number passing {point.sieve_mm:g} mm": point.by_number for point in of.curve}
     shares |= {"flakiness": of.indices.flakiness_percent, "shape": of.indices.shape_percent}
+    at_three = next(each for each in of.indices.flat_and_elongated if each.ratio == 3)
     return shares | {
-        f"flat and elongated {basis}": of.indices.d4791.whole[ParticleForm.FLAT_AND_ELONGATED][3][basis]
-        for basis in Basis
+        f"flat and elongated {basis}": at_three.flat_and_elongated_percent[basis] for basis in Basis
     }
 
 

@@ -13,12 +13,13 @@ import pytest
 from support.lot_figures import NOT_MEASURED, lot_document, measured, report_data
 
 from pipeline.errors import RejectReason
+from pipeline.gradation.d4791 import DIMENSIONS
 from pipeline.gradation.estimates import State
+from pipeline.gradation.indices import INDICES
 from pipeline.gradation.specification import Verdict
 from pipeline.particle import BodyKind
 from pipeline.views.quality import Quality
 from service.base.language import Language
-from service.lots.figures import INDICES, FlatAndElongated
 from service.lots.lots import LotState
 from service.lots.trends.changes import ChangedFigure
 from service.lots.trends.diary import DiaryKind
@@ -42,7 +43,7 @@ FAMILIES = {
     "gallery_reason": list(GalleryReason),
     "counted": ["mass", "number"],
     "index": INDICES,
-    "d4791": [name for name in FlatAndElongated.model_fields if name != "ratio"],
+    "d4791": list(DIMENSIONS),
     "diary_kind": list(DiaryKind),
     "diary_value": list(DiaryKind),
     "since": list(DiaryKind),
