@@ -11,7 +11,7 @@ from fastapi import Request as HttpRequest
 from pydantic import BaseModel, Field
 
 from service.base.ids import ID
-from service.base.schema import REQUEST, TIME, GivenTime, RequestBody, adds_to
+from service.base.schema import REQUEST, GivenTime, RequestBody, adds_to
 from service.lots.lots import (
     LotDefinition,
     LotDocument,
@@ -71,8 +71,8 @@ class VoidRequest(RequestBody):
 class AssignRequest(RequestBody):
     """A time, whose stones outside of any lot are to be in this one."""
 
-    since: Annotated[GivenTime, Field(description="Captured at or after", json_schema_extra=TIME)]
-    until: Annotated[GivenTime, Field(description="Captured before", json_schema_extra=TIME)]
+    since: Annotated[GivenTime, Field(description="Captured at or after")]
+    until: Annotated[GivenTime, Field(description="Captured before")]
 
 
 class LotsPage(BaseModel):
