@@ -42,7 +42,7 @@ from pipeline.segmentation.subtraction import BackgroundSegmenter
 from service.base.errors import UsageError
 from service.calibration.drops import observe_drop, solve_drops
 from service.calibration.states import BALL_DIAMETERS_MM, Method
-from service.commands.options import with_options
+from service.commands.options import Json, with_options
 from service.processing.models.networks import load_model
 
 NO_SCALE = "scale: not observable; lengths are those of the initial rig"
@@ -57,39 +57,30 @@ UNSEEN_LENSES = {
 class CalibrateOptions:
     """Options of `stonefall calibrate`."""
 
-    recording: Annotated[Path, typer.Argument(help="Folder of the recording of ball drops.")]
-    initial: Annotated[
-        Path, typer.Option(help="Rig file to start from: the design, or an older calibration.")
-    ]
-    out: Annotated[Path, typer.Option(help="Rig file to write; an older one is replaced.")]
-    ball_diameter_mm: Annotated[
-        list[float] | None,
-        typer.Option(
-            help="Known diameter of the ball, mm; give it twice for balls of two sizes. Without it lengths are only as "
-            "accurate as those of the initial rig."
-        ),
-    ] = None
-    method: Annotated[
-        Method,
-        typer.Option(
-            help="bundle: bundle adjustment; paper: Algorithm 1 of the paper; stones: new poses for cameras that moved,"
-            " from any stones."
-        ),
-    ] = Method.BUNDLE
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="With --method paper: U2-Net whose masks show the ball, by the name of a fetched model or the path of"
-            " an ONNX file; without it drops are compared with the empty rig."
-        ),
-    ] = None
-    force: Annotated[bool, typer.Option("--force", help="Write the rig even if it should not be used.")] = (
-        False
-    )
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Threads that observe drops.")] = (
-        os.cpu_count() or 1
-    )
-    as_json: Annotated[bool, typer.Option("--json", help="Print the whole report as JSON.")] = False
+    recording: Annotated[Path, typer.Argument()]
+    """Folder of the recording of ball drops."""
+    initial: Path
+    """Rig file to start from: the design, or an older calibration."""
+    out: Path
+    """Rig file to write; an older one is replaced."""
+    ball_diameter_mm: list[float] | None = None
+    """Known diameter of the ball, mm; give it twice for balls of two sizes. Without it lengths are only as accurate
+    as those of the initial rig.
+    """
+    method: Method = Method.BUNDLE
+    """bundle: bundle adjustment; paper: Algorithm 1 of the paper; stones: new poses for cameras that moved, from
+    any stones.
+    """
+    model: str | None = None
+    """With --method paper: U2-Net whose masks show the ball, by the name of a fetched model or the path of an ONNX
+    file; without it drops are compared with the empty rig.
+    """
+    force: bool = False
+    """Write the rig even if it should not be used."""
+    workers: Annotated[int, typer.Option(min=1, max=256)] = os.cpu_count() or 1
+    """Threads that observe drops."""
+    as_json: Json = False
+    """Print the whole report as JSON."""
 
 
 @with_options

@@ -32,13 +32,10 @@ By = Annotated[str | None, typer.Option(help="Who decides; kept with the calibra
 class StartOptions:
     """Options of `stonefall calibration start`: members of the request."""
 
-    ball_diameters_mm: Annotated[
-        list[float] | None,
-        typer.Option(
-            "--ball-diameter-mm", help="Diameter of the ball, mm; give it twice for balls of two sizes."
-        ),
-    ] = None
-    method: Annotated[str, typer.Option(help="bundle, paper, or stones (without a ball).")] = "bundle"
+    ball_diameters_mm: Annotated[list[float] | None, typer.Option("--ball-diameter-mm")] = None
+    """Diameter of the ball, mm; give it twice for balls of two sizes."""
+    method: str = "bundle"
+    """bundle, paper, or stones (without a ball)."""
     note: Note = None
     by: By = None
 

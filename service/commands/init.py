@@ -31,51 +31,32 @@ COLUMNS = ("serial", "address", "user_name")
 class InitOptions:
     """Options of `stonefall init`."""
 
-    file: Annotated[
-        Path, typer.Argument(help="Configuration file to write, such as /etc/stonefall/stonefall.toml.")
-    ]
-    interface: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="IP",
-            parser=ipv4_address,
-            help="Address of this machine towards the cameras; may be repeated.",
-        ),
-    ] = None
-    camera: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PLACE=SERIAL",
-            help="Serial number of the camera in a place, such as c01=12345; may be repeated.",
-        ),
-    ] = None
-    cameras: Annotated[
-        Path | None,
-        typer.Option(
-            help="CSV file with the columns id and serial, address or user_name, in the place of --camera."
-        ),
-    ] = None
-    gate: Annotated[str | None, typer.Option(help="Port of a light gate with a serial line.")] = None
-    strobe_line: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LINE", help="Output of the cameras that fires the light panels, such as Line2."
-        ),
-    ] = None
-    flash_us: Annotated[
-        float | None,
-        typer.Option(min=0.1, help="Light of one flash, if shorter than the exposure of 20 us."),
-    ] = None
-    store: Annotated[Path, typer.Option(help="Folder for results.")] = Path("/var/lib/stonefall")
-    spool: Annotated[Path, typer.Option(help="Folder on tmpfs for bundles.")] = Path("/run/stonefall")
-    product: Annotated[
-        str | None, typer.Option(help="Name of the product, for the steps that are printed.")
-    ] = None
-    density_g_cm3: Annotated[
-        float | None, typer.Option(min=0.1, max=20, help="Particle density (EN 1097-6).")
-    ] = None
-    simulated: Annotated[bool, typer.Option("--simulated", help="The rig is a simulated one.")] = False
-    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False
+    file: Annotated[Path, typer.Argument()]
+    """Configuration file to write, such as /etc/stonefall/stonefall.toml."""
+    interface: Annotated[list[str] | None, typer.Option(metavar="IP", parser=ipv4_address)] = None
+    """Address of this machine towards the cameras; may be repeated."""
+    camera: Annotated[list[str] | None, typer.Option(metavar="PLACE=SERIAL")] = None
+    """Serial number of the camera in a place, such as c01=12345; may be repeated."""
+    cameras: Path | None = None
+    """CSV file with the columns id and serial, address or user_name, in the place of --camera."""
+    gate: str | None = None
+    """Port of a light gate with a serial line."""
+    strobe_line: Annotated[str | None, typer.Option(metavar="LINE")] = None
+    """Output of the cameras that fires the light panels, such as Line2."""
+    flash_us: Annotated[float | None, typer.Option(min=0.1)] = None
+    """Light of one flash, if shorter than the exposure of 20 us."""
+    store: Path = Path("/var/lib/stonefall")
+    """Folder for results."""
+    spool: Path = Path("/run/stonefall")
+    """Folder on tmpfs for bundles."""
+    product: str | None = None
+    """Name of the product, for the steps that are printed."""
+    density_g_cm3: Annotated[float | None, typer.Option(min=0.1, max=20)] = None
+    """Particle density (EN 1097-6)."""
+    simulated: bool = False
+    """The rig is a simulated one."""
+    force: bool = False
+    """Replace the file."""
 
 
 @with_options

@@ -35,7 +35,7 @@ from service.base.errors import UsageError
 from service.base.language import Language
 from service.commands.lots import curve_table
 from service.commands.measuring_pool import Executor, measuring_pool
-from service.commands.options import changed, with_options
+from service.commands.options import Json, changed, with_options
 from service.commands.results_folder import FOLDERS, RESULTS, measure_all
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.settings import load_settings
@@ -65,73 +65,43 @@ class MethodName(StrEnum):
 class MeasureOptions:
     """Options of `stonefall measure`."""
 
-    recording: Annotated[Path, typer.Argument(help="Folder of the recording.")]
-    out: Annotated[
-        Path,
-        typer.Option(
-            help="Folder for results.jsonl, meshes/ and gradation.json; an earlier run's are replaced."
-        ),
-    ]
-    rig: Annotated[Path | None, typer.Option(help="Rig file; default: rig.json of the recording.")] = None
-    segmenter: Annotated[
-        SegmenterKind | None,
-        typer.Option(
-            help="Segmenter; default: as configured, else auto (onnx where background is in doubt). mask: a U2-Net's"
-            " mask is the silhouette, as in the paper."
-        ),
-    ] = None
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="ONNX file, or name of `stonefall models list`; default: as configured, else the built-in model."
-        ),
-    ] = None
-    config: Annotated[Path | None, typer.Option(help="Use the parameters of this configuration file.")] = None
-    field: Annotated[
-        CarvingField | None,
-        typer.Option(
-            help="sub_voxel: signed distances; view_count: the paper's. Default: as configured, else sub_voxel."
-        ),
-    ] = None
-    body: Annotated[
-        BodyKind | None,
-        typer.Option(help="Body that mesh and shape describe; default: as configured, else photo."),
-    ] = None
-    texture: Annotated[
-        bool | None,
-        typer.Option(
-            "--texture/--no-texture",
-            help="Whether meshes have a grey value at each vertex; default: as configured, else with photo.",
-        ),
-    ] = None
-    mesher: Annotated[
-        Mesher | None,
-        typer.Option(
-            help="own: marching cubes over the cut leaves; skimage: scikit-image's, the reference. Default: as"
-            " configured, else own."
-        ),
-    ] = None
-    method: Annotated[
-        MethodName,
-        typer.Option(
-            help="paper: the method of the paper as a whole (masks of a U2-Net, voxels counted, scikit-image, no "
-            "correction); the rig is then that of `stonefall calibrate --method paper`."
-        ),
-    ] = MethodName.OURS
-    isolevel: Annotated[
-        float | None,
-        typer.Option(
-            help="Level of the surface in the count of 16 views, from 15 to less than 16; default: 15.5."
-        ),
-    ] = None
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes that measure.")] = (
-        os.cpu_count() or 1
-    )
+    recording: Annotated[Path, typer.Argument()]
+    """Folder of the recording."""
+    out: Path
+    """Folder for results.jsonl, meshes/ and gradation.json; an earlier run's are replaced."""
+    rig: Path | None = None
+    """Rig file; default: rig.json of the recording."""
+    segmenter: SegmenterKind | None = None
+    """Segmenter; default: as configured, else auto (onnx where background is in doubt). mask: a U2-Net's mask is
+    the silhouette, as in the paper.
+    """
+    model: str | None = None
+    """ONNX file, or name of `stonefall models list`; default: as configured, else the built-in model."""
+    config: Path | None = None
+    """Use the parameters of this configuration file."""
+    field: CarvingField | None = None
+    """sub_voxel: signed distances; view_count: the paper's. Default: as configured, else sub_voxel."""
+    body: BodyKind | None = None
+    """Body that mesh and shape describe; default: as configured, else photo."""
+    texture: Annotated[bool | None, typer.Option("--texture/--no-texture")] = None
+    """Whether meshes have a grey value at each vertex; default: as configured, else with photo."""
+    mesher: Mesher | None = None
+    """own: marching cubes over the cut leaves; skimage: scikit-image's, the reference. Default: as configured, else
+    own.
+    """
+    method: MethodName = MethodName.OURS
+    """paper: the method of the paper as a whole (masks of a U2-Net, voxels counted, scikit-image, no correction);
+    the rig is then that of `stonefall calibrate --method paper`.
+    """
+    isolevel: float | None = None
+    """Level of the surface in the count of 16 views, from 15 to less than 16; default: 15.5."""
+    workers: Annotated[int, typer.Option(min=1, max=256)] = os.cpu_count() or 1
+    """Processes that measure."""
     executor: Executor = None
-    save_silhouettes: Annotated[
-        bool, typer.Option("--save-silhouettes", help="Write silhouettes/<bundle>/<camera>.png as well.")
-    ] = False
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False
+    save_silhouettes: bool = False
+    """Write silhouettes/<bundle>/<camera>.png as well."""
+    as_json: Json = False
+    """Print the summary as JSON."""
 
 
 @with_options

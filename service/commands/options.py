@@ -1,16 +1,20 @@
 """Options that commands share, and commands whose options are the fields of dataclasses."""
 
-from collections.abc import Callable
+import ast
+from collections.abc import Callable, Iterator
+from copy import copy
 from dataclasses import dataclass, is_dataclass, replace
 from functools import wraps
-from inspect import Parameter, Signature, signature
+from inspect import Parameter, Signature, getsource, signature
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
 Config = Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")]
 DaemonConfig = Annotated[Path, typer.Option("--config", help="TOML file of the daemon.")]
+Json = Annotated[bool, typer.Option("--json")]
 Parameters = TypeVar("Parameters", bound=Any)
 
 
@@ -37,7 +41,7 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     flat: list[Parameter] = []
     for name, each in parameters.items():
         own = each.replace(kind=Parameter.POSITIONAL_OR_KEYWORD)
-        flat += signature(groups[name]).parameters.values() if name in groups else [own]
+        flat += _documented(groups[name]) if name in groups else [own]
     shown = Signature(flat)
 
     @wraps(command)
@@ -52,3 +56,22 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     run.__signature__ = shown  # type: ignore[attr-defined] # inspect reads it, typeshed does not know it
     run.__annotations__ = {each.name: each.annotation for each in flat}
     return run
+
+
+def _documented(group: type) -> Iterator[Parameter]:
+    """Yield a parameter for each field: its help is the docstring of the field, and a bool alone is a flag."""
+    help_texts: dict[str, str] = {}
+    for part in reversed(group.__mro__[:-1]):
+        for pair in pairwise(ast.walk(ast.parse(getsource(part)))):
+            match pair:
+                case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
+                    help_texts[name] = " ".join(text.split())
+    kinds = get_type_hints(group)
+    for each in signature(group).parameters.values():
+        if each.name in help_texts:
+            marks = getattr(each.annotation, "__metadata__", ())
+            flag = [f"--{each.name.replace('_', '-')}"] if each.default is False else []
+            mark = copy(marks[0]) if marks else typer.Option(*flag)
+            mark.help = help_texts[each.name]
+            each = each.replace(annotation=Annotated[kinds[each.name], mark])
+        yield each

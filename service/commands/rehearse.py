@@ -16,7 +16,7 @@ from rich.table import Table
 
 from service.base.errors import UsageError
 from service.base.language import Language
-from service.commands.options import with_options
+from service.commands.options import Json, with_options
 from service.commands.rehearsal.day import Day, merged, scripts
 from service.commands.rehearsal.expected import as_text
 from service.commands.rehearsal.recordings import RehearsedRecording, rehearsed_recording
@@ -36,22 +36,22 @@ SETTINGS = {
 class RehearseOptions:
     """Options of `stonefall rehearse`."""
 
-    script: Annotated[str, typer.Option(help="Script to play; --list shows all.")] = "day"
-    is_list: Annotated[bool, typer.Option("--list", help="List the scripts, and end.")] = False
-    speed: Annotated[float, typer.Option(min=0.1, max=10, help="Factor on four stones a second.")] = 1.0
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the daemon; 0: a free one.")] = 8080
-    folder: Annotated[
-        Path | None,
-        typer.Option(help="Folder to keep store and log in, empty or new; default: a temporary one."),
-    ] = None
-    linger_s: Annotated[
-        float, typer.Option(min=0, help="Time for clients to read the last results, before the daemon ends.")
-    ] = 15.0
-    language: Annotated[Language, typer.Option(help="Of the alarms' causes and actions.")] = Language.ENGLISH
-    as_json: Annotated[
-        bool,
-        typer.Option("--json", help="Print what a client should have seen as JSON; the rest goes to stderr."),
-    ] = False
+    script: str = "day"
+    """Script to play; --list shows all."""
+    is_list: Annotated[bool, typer.Option("--list")] = False
+    """List the scripts, and end."""
+    speed: Annotated[float, typer.Option(min=0.1, max=10)] = 1.0
+    """Factor on four stones a second."""
+    port: Annotated[int, typer.Option(min=0, max=65535)] = 8080
+    """Port of the daemon; 0: a free one."""
+    folder: Path | None = None
+    """Folder to keep store and log in, empty or new; default: a temporary one."""
+    linger_s: Annotated[float, typer.Option(min=0)] = 15.0
+    """Time for clients to read the last results, before the daemon ends."""
+    language: Language = Language.ENGLISH
+    """Of the alarms' causes and actions."""
+    as_json: Json = False
+    """Print what a client should have seen as JSON; the rest goes to stderr."""
 
 
 @with_options

@@ -22,7 +22,7 @@ from drivers.errors import RecordingError
 from drivers.files.recording import open_recording
 from drivers.gige_simulator.rig import RigDesign, SimulatedRig
 from service.base.errors import UsageError
-from service.commands.options import with_options
+from service.commands.options import Json, with_options
 from service.results.version import ALGORITHM_VERSION
 
 POLL_S = 0.1
@@ -41,46 +41,34 @@ class BeltStart(StrEnum):
 class SimulateOptions:
     """Options of `stonefall simulate`."""
 
-    recording: Annotated[
-        Path | None,
-        typer.Argument(help="Recording that is played; default: --bodies, rendered once and kept."),
-    ] = None
-    address: Annotated[
-        str, typer.Option(help="IP address of the first camera; the others get the next ones.")
-    ] = "127.0.0.2"
-    cameras: Annotated[
-        int | None,
-        typer.Option(min=1, help="Number of cameras, the first ones of the recording; default: all."),
-    ] = None
-    rate: Annotated[float, typer.Option(min=0.01, max=1000, help="Stones per second.")] = 4.0
-    start: Annotated[
-        BeltStart,
-        typer.Option(
-            help="auto: as soon as all cameras acquire and the gate is open; manual: on request at the control socket."
-        ),
-    ] = BeltStart.AUTO
-    loop: Annotated[bool, typer.Option("--loop", help="Start again at the end of the recording.")] = False
-    once: Annotated[bool, typer.Option("--once", help="Exit when everything has fallen and was sent.")] = (
-        False
-    )
-    gate_link: Annotated[
-        Path | None, typer.Option(help="Path of the gate's serial port; default: a temporary one.")
-    ] = None
-    control: Annotated[
-        Path | None, typer.Option(help="Path of the control socket; default: in a temporary folder.")
-    ] = None
-    uplink: Annotated[
-        float | None,
-        typer.Option(min=1, help="Rate that all cameras share behind a switch, MB/s; default: no limit."),
-    ] = None
-    seed: Annotated[
-        int, typer.Option(min=0, help="Equal seeds give equal clocks, faults and rendered bodies.")
-    ] = 0
-    bodies: Annotated[str, typer.Option(help="What to render, as in `stonefall synthesize`.")] = "stones"
-    count: Annotated[int, typer.Option(min=1, max=1000, help="Number of bodies to render.")] = 10
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the addresses, and counters at the end, as JSON.")
-    ] = False
+    recording: Annotated[Path | None, typer.Argument()] = None
+    """Recording that is played; default: --bodies, rendered once and kept."""
+    address: str = "127.0.0.2"
+    """IP address of the first camera; the others get the next ones."""
+    cameras: Annotated[int | None, typer.Option(min=1)] = None
+    """Number of cameras, the first ones of the recording; default: all."""
+    rate: Annotated[float, typer.Option(min=0.01, max=1000)] = 4.0
+    """Stones per second."""
+    start: BeltStart = BeltStart.AUTO
+    """auto: as soon as all cameras acquire and the gate is open; manual: on request at the control socket."""
+    loop: bool = False
+    """Start again at the end of the recording."""
+    once: bool = False
+    """Exit when everything has fallen and was sent."""
+    gate_link: Path | None = None
+    """Path of the gate's serial port; default: a temporary one."""
+    control: Path | None = None
+    """Path of the control socket; default: in a temporary folder."""
+    uplink: Annotated[float | None, typer.Option(min=1)] = None
+    """Rate that all cameras share behind a switch, MB/s; default: no limit."""
+    seed: Annotated[int, typer.Option(min=0)] = 0
+    """Equal seeds give equal clocks, faults and rendered bodies."""
+    bodies: str = "stones"
+    """What to render, as in `stonefall synthesize`."""
+    count: Annotated[int, typer.Option(min=1, max=1000)] = 10
+    """Number of bodies to render."""
+    as_json: Json = False
+    """Print the addresses, and counters at the end, as JSON."""
 
 
 @with_options

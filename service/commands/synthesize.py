@@ -42,7 +42,7 @@ from pipeline.synthesis.renderer import simulate_rig
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
 from pipeline.synthesis.truth import truth_of, truth_to_document
 from service.base.errors import UsageError
-from service.commands.options import changed, with_options
+from service.commands.options import Json, changed, with_options
 from service.commands.shape import read_mesh
 
 STANDARDS: dict[str, Callable[[], Body]] = {
@@ -82,7 +82,8 @@ BodySource = Callable[[int, np.random.Generator], tuple[Body, ShapeMeasurement]]
 class SynthesizeOptions:
     """Options of `stonefall synthesize`."""
 
-    out: Annotated[Path, typer.Argument(help="Folder of the recording; must not exist, or be empty.")]
+    out: Annotated[Path, typer.Argument()]
+    """Folder of the recording; must not exist, or be empty."""
     bodies: Annotated[
         str,
         typer.Option(
@@ -91,58 +92,37 @@ class SynthesizeOptions:
             f"(in turn {', '.join(STONE_FORMS)}), one of these classes, or mesh files in mm."
         ),
     ] = f"{','.join(STANDARDS)},{STONES}"
-    count: Annotated[int, typer.Option(min=0, max=100_000, help="Number of bodies.")] = 10
-    seed: Annotated[int, typer.Option(min=0, help="Equal seeds give equal images.")] = 0
-    rig: Annotated[
-        Path | None,
-        typer.Option(help="Rig file of the cameras; default: the design with seeded deviations."),
-    ] = None
-    backgrounds: Annotated[
-        int, typer.Option(min=0, max=1000, help="Number of exposures of the empty rig, before the bodies.")
-    ] = 5
-    size_mm: Annotated[
-        float | None,
-        typer.Option(min=1, max=45, help="Greatest diameter of the stones, mm; default: 5 to 40, at random."),
-    ] = None
-    exposure_us: Annotated[
-        float, typer.Option(min=0, max=1000, help="Exposure time, us; motion blur is 1 px in 20 us.")
-    ] = 20.0
-    lens: Annotated[
-        LensPreset,
-        typer.Option(
-            help="Lens of 25 mm, focused at 300 mm, at an f-number (f2 as published), with depth blur, vignetting and "
-            "glare; sharp: the same small blur for everything."
-        ),
-    ] = LensPreset.SHARP
-    blur_px: Annotated[
-        float | None,
-        typer.Option(
-            min=BLUR_PX[0], max=BLUR_PX[1], help="Blur (sigma) of a point in focus, px; default: the lens's."
-        ),
-    ] = None
-    read_noise: Annotated[
-        float | None,
-        typer.Option(
-            min=0, max=50, help="Noise (sigma) of the sensor in the dark, grey levels; default: 0.8."
-        ),
-    ] = None
-    rate_hz: Annotated[float, typer.Option(min=0.01, max=100, help="Triggers per second.")] = 4.0
-    spread_mm: Annotated[
-        tuple[float, float, float],
-        typer.Option(metavar="X Y Z", help="Balls fall up to this far from the centre, mm."),
-    ] = SPREAD_MM
-    fall_jitter_ms: Annotated[
-        float,
-        typer.Option(
-            min=0,
-            max=MAX_FALL_JITTER_MS,
-            help="Balls are exposed up to this much early or late, ms, and so higher or lower.",
-        ),
-    ] = 0.0
+    count: Annotated[int, typer.Option(min=0, max=100_000)] = 10
+    """Number of bodies."""
+    seed: Annotated[int, typer.Option(min=0)] = 0
+    """Equal seeds give equal images."""
+    rig: Path | None = None
+    """Rig file of the cameras; default: the design with seeded deviations."""
+    backgrounds: Annotated[int, typer.Option(min=0, max=1000)] = 5
+    """Number of exposures of the empty rig, before the bodies."""
+    size_mm: Annotated[float | None, typer.Option(min=1, max=45)] = None
+    """Greatest diameter of the stones, mm; default: 5 to 40, at random."""
+    exposure_us: Annotated[float, typer.Option(min=0, max=1000)] = 20.0
+    """Exposure time, us; motion blur is 1 px in 20 us."""
+    lens: LensPreset = LensPreset.SHARP
+    """Lens of 25 mm, focused at 300 mm, at an f-number (f2 as published), with depth blur, vignetting and glare;
+    sharp: the same small blur for everything.
+    """
+    blur_px: Annotated[float | None, typer.Option(min=BLUR_PX[0], max=BLUR_PX[1])] = None
+    """Blur (sigma) of a point in focus, px; default: the lens's."""
+    read_noise: Annotated[float | None, typer.Option(min=0, max=50)] = None
+    """Noise (sigma) of the sensor in the dark, grey levels; default: 0.8."""
+    rate_hz: Annotated[float, typer.Option(min=0.01, max=100)] = 4.0
+    """Triggers per second."""
+    spread_mm: Annotated[tuple[float, float, float], typer.Option(metavar="X Y Z")] = SPREAD_MM
+    """Balls fall up to this far from the centre, mm."""
+    fall_jitter_ms: Annotated[float, typer.Option(min=0, max=MAX_FALL_JITTER_MS)] = 0.0
+    """Balls are exposed up to this much early or late, ms, and so higher or lower."""
     surfaces: SurfacesOption = SurfaceKind.MOTTLED.value
     gloss: GlossOption = 0.0
     interreflection: InterreflectionOption = False
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False
+    as_json: Json = False
+    """Print the summary as JSON."""
 
 
 @with_options
