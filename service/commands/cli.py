@@ -105,10 +105,15 @@ def main() -> None:
         else [name for name in asked_for if name in COMMANDS]
         or [name for name, module in COMMANDS.items() if is_installed(module)]
     )
+    expected: BaseException | None = None
     try:
         build_app(needed)()
-    except (DriverError, PipelineError, ServiceError, OSError) as err:
-        print(f"stonefall: {' '.join(str(err).split())}", file=sys.stderr)  # noqa: T201 - a command's one line for people
+    except* (DriverError, PipelineError, ServiceError, OSError) as group:
+        expected = group
+        while isinstance(expected, BaseExceptionGroup):  # of tasks: the first says it
+            expected = expected.exceptions[0]
+    if expected is not None:
+        print(f"stonefall: {' '.join(str(expected).split())}", file=sys.stderr)  # noqa: T201 - a command's one line for people
         sys.exit(1)
 
 

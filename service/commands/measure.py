@@ -10,7 +10,6 @@ import shutil
 import tempfile
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,22 +33,25 @@ from pipeline.segmentation.segmenter_choice import SegmenterKind
 from service.base.errors import UsageError
 from service.base.language import Language
 from service.commands.lots import curve_table
-from service.commands.measuring_pool import Executor, measuring_pool
-from service.commands.options import Json, changed, with_options
-from service.commands.results_folder import FOLDERS, RESULTS, measure_all
+from service.commands.options import Executor, Json, changed, with_options
+from service.commands.results_folder import FOLDERS, RESULTS, Workers, measure_all
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.settings import load_settings
 from service.lots.evaluation import figures_of
 from service.lots.standards import read_standards
 from service.lots.stones import stones_in
 from service.lots.yardsticks import Request
-from service.processing.measure_job import RigFile, WorkerContext
+from service.processing.measure_job import RigFile, WorkerContext, prepare
 from service.processing.segmenters import SegmenterPlan
+from service.processing.worker_pool import WorkerPool
+from service.remeasuring.executor import open_cluster
 from service.reports.curve import curve_svg
 from service.results.fields import Outcome
 
 GRADATION, CURVE = "gradation.json", "gradation.svg"
 SIEVE_SET = "stonefall"
+DEADLINE_S = 600.0
+"""Only a worker that hangs is ended: no stone waits here."""
 PAPERS_MODEL = "u2netp"
 """Network of `--method paper` unless another one is named; the paper used the larger U2-Net."""
 
@@ -73,8 +75,7 @@ class MeasureOptions:
     """Rig file; default: rig.json of the recording."""
     segmenter: SegmenterKind | None = None
     """Segmenter; default: as configured, else auto (onnx where background is in doubt). mask: a U2-Net's mask is
-    the silhouette, as in the paper.
-    """
+    the silhouette, as in the paper."""
     model: str | None = None
     """ONNX file, or name of `stonefall models list`; default: as configured, else the built-in model."""
     config: Path | None = None
@@ -87,12 +88,10 @@ class MeasureOptions:
     """Whether meshes have a grey value at each vertex; default: as configured, else with photo."""
     mesher: Mesher | None = None
     """own: marching cubes over the cut leaves; skimage: scikit-image's, the reference. Default: as configured, else
-    own.
-    """
+    own."""
     method: MethodName = MethodName.OURS
     """paper: the method of the paper as a whole (masks of a U2-Net, voxels counted, scikit-image, no correction);
-    the rig is then that of `stonefall calibrate --method paper`.
-    """
+    the rig is then that of `stonefall calibrate --method paper`."""
     isolevel: float | None = None
     """Level of the surface in the count of 16 views, from 15 to less than 16; default: 15.5."""
     workers: Annotated[int, typer.Option(min=1, max=256)] = os.cpu_count() or 1
@@ -144,9 +143,9 @@ def command(options: MeasureOptions) -> None:
     rig_file = RigFile(rig_path, calibration.calibration_id)
     with tempfile.TemporaryDirectory(prefix=".measuring-", dir=options.out) as name:
         unfinished = Path(name)
-        measuring = partial(measuring_pool, options.executor, options.workers, context)
+        workers = measuring_pool(options.executor, options.workers, context)
         records = measure_all(
-            source, rig_file, measuring, unfinished, save_silhouettes=options.save_silhouettes
+            source, rig_file, workers, unfinished, save_silhouettes=options.save_silhouettes
         )
         (unfinished / GRADATION).write_text(json.dumps(_gradation(records, calibration), indent=2) + "\n")
         figures = figures_of(stones_in(records), Request())
@@ -155,6 +154,13 @@ def command(options: MeasureOptions) -> None:
     _print_summary(records, options.as_json)
     if figures.measured and not options.as_json:
         Console().print(curve_table(figures.model_dump(mode="json")))
+
+
+def measuring_pool(executor: str | None, workers: int, context: WorkerContext) -> Workers:
+    """Return the cluster, if one is named, or else processes of this machine; entering it starts them."""
+    if executor is not None:
+        return open_cluster(executor, context)
+    return WorkerPool(slots=workers, deadline_s=DEADLINE_S, prepare=prepare, context=context)
 
 
 def _gradation(records: list[dict[str, Any]], rig: RigCalibration) -> dict[str, Any]:

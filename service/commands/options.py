@@ -15,6 +15,10 @@ import typer
 Config = Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")]
 DaemonConfig = Annotated[Path, typer.Option("--config", help="TOML file of the daemon.")]
 Json = Annotated[bool, typer.Option("--json")]
+Executor = Annotated[
+    str | None,
+    typer.Option(help="dask://HOST:PORT: measure on the cluster with this scheduler, instead of here."),
+]
 Parameters = TypeVar("Parameters", bound=Any)
 
 

@@ -24,7 +24,8 @@ from rich.progress import Progress
 from drivers.errors import RecordingError
 from service.base.errors import UsageError
 from service.commands.daemon_client import DaemonClient, DaemonError, Key
-from service.commands.measuring_pool import IN_FLIGHT, Executor, one_error
+from service.commands.options import Executor
+from service.commands.results_folder import IN_FLIGHT
 from service.configuration.settings import load_settings
 from service.processing.measure_job import measure
 from service.processing.worker_pool import JobLostError, JobPool
@@ -99,10 +100,9 @@ def command(
                 progress.advance(bar)
         else:
             ordering = OrderingDaemon(daemon, settings.spool.dir)
-            with one_error():
-                asyncio.run(
-                    remeasure_on_cluster(ordering, executor, names, summary, lambda: progress.advance(bar))
-                )
+            asyncio.run(
+                remeasure_on_cluster(ordering, executor, names, summary, lambda: progress.advance(bar))
+            )
     if as_json:
         typer.echo(json.dumps(asdict(summary)))
     else:
@@ -133,12 +133,7 @@ class OrderingDaemon:
     async def order(self, name: str) -> tuple[str, Order] | None:
         """Return the name of an order for a stone, and the order; None if there is nothing to measure again.
 
-        Raises
-        ------
-        DaemonError
-            It does not answer, or refuses.
-        UsageError
-            We are on another host, or another user.
+        Raises `DaemonError` as `DaemonClient.ask` does, `UsageError` on another host, or as another user.
         """
         ordered = await self._post(f"/particles/{name}/revisions/orders")
         if not ordered["is_needed"]:

@@ -3,7 +3,7 @@
 import asyncio
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 from typing import IO, Any
@@ -15,7 +15,6 @@ from drivers.files.png_file import write_png
 from drivers.files.recording import Recording, playback_order, unreadable_triggers
 from drivers.files.silhouette_file import read_silhouettes
 from service.base.errors import ServiceError
-from service.commands.measuring_pool import IN_FLIGHT, one_error
 from service.processing.measure_job import MESH, SILHOUETTES, RigFile
 from service.processing.processing import FixedCalibration, Processing, ProcessingContext, ProcessingObserver
 from service.processing.spool import Loss, SpooledBundle
@@ -26,8 +25,10 @@ from service.results.record import document_of
 RESULTS = "results.jsonl"
 MESHES, LABELS = FOLDERS = ("meshes", "silhouettes")
 
-OpenPool = Callable[[], AbstractAsyncContextManager[JobPool]]
-"""Provides what measures the bundles."""
+Workers = AbstractAsyncContextManager[JobPool]
+"""Processes or a cluster, which measure once they are entered."""
+IN_FLIGHT = 4
+"""Bundles in flight for each worker, however many there are."""
 
 
 class _PlaybackSpool:
@@ -99,7 +100,7 @@ def read_results(results: Path) -> list[dict[str, Any]]:
 
 
 def measure_all(
-    source: Recording, rig_file: RigFile, open_pool: OpenPool, out: Path, *, save_silhouettes: bool
+    source: Recording, rig_file: RigFile, workers: Workers, out: Path, *, save_silhouettes: bool
 ) -> list[dict[str, Any]]:
     """Measure all bundles and return their records in playback order; records and files are written to `out`."""
     (out / MESHES).mkdir()
@@ -109,7 +110,7 @@ def measure_all(
         results = _ResultsFolder(out, lines)
 
         async def run() -> None:
-            async with open_pool() as pool:
+            async with workers as pool:
                 playback = _PlaybackSpool(source, IN_FLIGHT * pool.size)
                 bar = progress.add_task("measuring", total=playback.n_particles)
                 processing = Processing(
@@ -130,6 +131,5 @@ def measure_all(
                 )
                 await processing.run()
 
-        with one_error():
-            asyncio.run(run())
+        asyncio.run(run())
     return results.records

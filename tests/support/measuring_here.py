@@ -27,7 +27,7 @@ class PoolOfThisProcess:
 async def measuring_here(
     executor: str | None, workers: int, context: WorkerContext
 ) -> AsyncIterator[JobPool]:
-    """Provide this process in the place of `service.commands.measuring_pool.measuring_pool`."""
+    """Provide this process in the place of `service.commands.measure.measuring_pool`."""
     assert executor is None
     begin(context)
     yield PoolOfThisProcess(workers)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from service.base.errors import ServiceError
 from service.commands import cli
 from service.commands.cli import build_app
 from service.results.version import ALGORITHM_VERSION
@@ -69,3 +70,17 @@ def test_a_plants_installation_lists_the_commands_that_it_has(
     assert end.value.code == 0
     printed = capsys.readouterr().out
     assert "measure" in printed and "benchmark" not in printed
+
+
+def test_errors_of_tasks_are_one_line_as_those_of_a_command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command() -> None:
+        gone = ServiceError("the scheduler\nis gone")
+        raise BaseExceptionGroup("tasks", [ExceptionGroup("more tasks", [gone, OSError("late")])])
+
+    monkeypatch.setattr(cli, "build_app", lambda names: command)
+    with pytest.raises(SystemExit) as end:
+        cli.main()
+    assert end.value.code == 1
+    assert capsys.readouterr().err == "stonefall: the scheduler is gone\n"

@@ -18,8 +18,8 @@ from pipeline.particle import PipelineParameters
 from service.base.errors import UsageError
 from service.commands import remeasure as module
 from service.commands.daemon_client import DaemonClient, DaemonError
-from service.commands.measuring_pool import IN_FLIGHT
 from service.commands.remeasure import OrderingDaemon, RemeasuredIds, remeasure_on_cluster
+from service.commands.results_folder import IN_FLIGHT
 from service.processing.measure_job import MeasuredBundle, MeasureJob, RigFile, WorkerContext
 from service.processing.worker_pool import JobLostError
 from service.remeasuring.orders import Order
