@@ -21,8 +21,7 @@ DEFAULT_URL = "http://127.0.0.1:8080"
 
 Url = Annotated[str, typer.Option(help="Address of the daemon.", envvar="STONEFALL_URL")]
 ConfiguredUrl = Annotated[
-    str | None,
-    typer.Option(help="Address of the daemon; default: as [api] says.", envvar="STONEFALL_URL"),
+    str | None, typer.Option(help="Address of the daemon; default: as [api] says.", envvar="STONEFALL_URL")
 ]
 Key = Annotated[
     str | None,
@@ -30,6 +29,7 @@ Key = Annotated[
         help="Token of a key, if the daemon requires one.", envvar="STONEFALL_KEY", show_envvar=True
     ),
 ]
+Body = Mapping[str, Any] | None
 AsJson = Annotated[bool, typer.Option("--json", help="Print the daemon's answer as JSON.")]
 
 
@@ -49,19 +49,11 @@ class DaemonClient:
     key: Key = None
 
     def ask(
-        self,
-        path: str,
-        body: Mapping[str, Any] | None = None,
-        *,
-        method: str | None = None,
-        timeout_s: float = TIMEOUT_S,
+        self, path: str, body: Body = None, *, method: str | None = None, timeout_s: float = TIMEOUT_S
     ) -> dict[str, Any]:
         """Return the answer to a GET request, or with a `body` to a POST request; members that are None are not sent.
 
-        Raises
-        ------
-        DaemonError
-            It does not answer, or refuses; carries the reason it gives.
+        Raises `DaemonError` with its reason if the daemon does not answer, or refuses.
         """
         content = self.fetch(path, body, method=method, timeout_s=timeout_s)
         try:
@@ -78,12 +70,7 @@ class DaemonClient:
             cursor = None if page["next_cursor"] is None else {"cursor": page["next_cursor"]}
 
     def fetch(
-        self,
-        path: str,
-        body: Mapping[str, Any] | None = None,
-        *,
-        method: str | None = None,
-        timeout_s: float = TIMEOUT_S,
+        self, path: str, body: Body = None, *, method: str | None = None, timeout_s: float = TIMEOUT_S
     ) -> bytes:
         """Return the content of an answer, undecoded; otherwise as `ask`."""
         if urlsplit(self.url).scheme not in ("http", "https"):
@@ -97,9 +84,8 @@ class DaemonClient:
             headers["Authorization"] = f"Bearer {self.key}"
         address = f"{self.url.rstrip('/')}{BASE}{path}"
         request = urllib.request.Request(address, data, headers, method=method)  # noqa: S310 - http or https, see above
-        is_here = (
-            urlsplit(self.url).hostname in LOOPBACK
-        )  # a proxy would look for the daemon on its own machine
+        # a proxy would look for the daemon on its own machine
+        is_here = urlsplit(self.url).hostname in LOOPBACK
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({} if is_here else None))
         try:
             with opener.open(request, timeout=timeout_s) as answer:

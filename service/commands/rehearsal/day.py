@@ -44,14 +44,12 @@ class Script:
     name: str
     title: str
     steps: tuple[ScriptStep, ...]
-    is_gige: bool = (
-        False  # sixteen simulated GigE cameras; otherwise a recording is replayed, which needs no package
-    )
+    is_gige: bool = False
+    """With sixteen simulated GigE cameras; otherwise a recording is replayed, which needs no package."""
     has_own_clock: bool = False
     recording: RehearsedRecording = RehearsedRecording.STONES
-    alarms: tuple[
-        str, ...
-    ] = ()  # checks whose alarms it causes, in their order; a busy machine may add its own
+    alarms: tuple[str, ...] = ()
+    """Checks whose alarms it causes, in their order; a busy machine may add its own."""
     settings: dict[str, Any] = field(default_factory=dict)
 
 
@@ -75,7 +73,7 @@ class Day:
         daemon: RehearsedDaemon,
         rig: Rig,
         say: Callable[[str], None],
-        language: Language = Language.ENGLISH,
+        language: Language,
     ) -> None:
         self._script, self._daemon, self._rig, self._say, self._language = script, daemon, rig, say, language
         self._observer = Observer(daemon.state_dir)
@@ -144,21 +142,22 @@ class Day:
         self.flow()
         self.count(stones)
 
-    def restart(self, settings: Mapping[str, Any] | None = None) -> None:
+    def restart(self, settings: Mapping[str, Any] | None = None, *, is_reachable: bool = True) -> None:
         """Stop the daemon and start it with these settings beside those of the script."""
-        self._start(settings or {}, is_reachable=True)
+        self._daemon.stop()
+        self._look()
+        self._daemon.settings = merged(self._settings, settings or {})
+        self._is_reachable = is_reachable
+        self._daemon.start(is_reachable=is_reachable)
+        self._rig.rest(self._daemon)
 
     def cut(self, settings: Mapping[str, Any] | None = None) -> None:
         """Cut the network: the daemon goes on where no client reaches it."""
-        self._start(settings or {}, is_reachable=False)
+        self.restart(settings, is_reachable=False)
 
     def expire(self) -> None:
         """Wait until retention has removed all results but the newest."""
         self._wait_for_ends(lambda first_seq, last_seq: first_seq == last_seq)
-
-    def reconnect(self) -> None:
-        """Let clients reach the daemon again."""
-        self._start({}, is_reachable=True)
 
     def backup(self) -> None:
         back_up(self._daemon.state_dir, self._daemon.folder / "backup.sqlite")
@@ -208,14 +207,6 @@ class Day:
         time.sleep(seconds)
 
     # --- what is seen ---
-
-    def _start(self, settings: Mapping[str, Any], *, is_reachable: bool) -> None:
-        self._daemon.stop()
-        self._look()
-        self._daemon.settings = merged(self._settings, settings)
-        self._is_reachable = is_reachable
-        self._daemon.start(is_reachable=is_reachable)
-        self._rig.rest(self._daemon)
 
     def _look(self) -> None:
         """Note the results that clients can read, and the daemon's word of its health."""

@@ -38,9 +38,8 @@ class Expected:
     followed: Results  # of this history, by a client that followed all day
     kept: Results  # of this history, by one that begins now
     earlier: tuple[Earlier, ...]
-    gaps: tuple[
-        dict[str, Any], ...
-    ]  # removed before a client could read them: history, first and last number
+    gaps: tuple[dict[str, Any], ...]
+    """Removed before a client could read them: history, first and last number."""
     outcomes: dict[str, int]  # of what is kept; with the reason where there is one
     lots: tuple[dict[str, Any], ...]
     alarms: tuple[dict[str, Any], ...]  # in the order in which they were raised

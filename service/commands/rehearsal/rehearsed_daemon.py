@@ -5,7 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
-from contextlib import closing, suppress
+from contextlib import suppress
 from datetime import datetime, tzinfo
 from pathlib import Path
 from typing import Any, Self
@@ -13,7 +13,7 @@ from typing import Any, Self
 import tomli_w
 
 from service.base.errors import ServiceError
-from service.commands.daemon_client import DaemonClient, DaemonError
+from service.commands.daemon_client import Body, DaemonClient, DaemonError
 
 HOST = "127.0.0.1"
 PATIENCE_S = 300.0
@@ -77,9 +77,7 @@ class RehearsedDaemon:
             self._process.wait()
             self._process = None
 
-    def ask(
-        self, path: str, body: Mapping[str, Any] | None = None, method: str | None = None
-    ) -> dict[str, Any]:
+    def ask(self, path: str, body: Body = None, method: str | None = None) -> dict[str, Any]:
         """Return the answer to a request, as `DaemonClient.ask` does."""
         client = DaemonClient(f"http://{HOST}:{self._asked_port}")
         return client.ask(path, body, method=method, timeout_s=ANSWER_S)
@@ -106,19 +104,16 @@ class RehearsedDaemon:
 
 def free_port() -> int:
     """Return a free TCP port."""
-    with closing(socket.socket()) as found:
-        found.bind((HOST, 0))
+    with socket.create_server((HOST, 0)) as found:
         return int(found.getsockname()[1])
 
 
 def is_free(port: int) -> bool:
-    """True when a socket can be bound to the port."""
-    with closing(socket.socket()) as tried:
-        tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            tried.bind((HOST, port))
-        except OSError:
-            return False
+    """True when a server can listen at the port."""
+    try:
+        socket.create_server((HOST, port)).close()
+    except OSError:
+        return False
     return True
 
 

@@ -4,11 +4,10 @@ import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any
 
 from drivers.files.recording import open_recording
 from drivers.gige_simulator.rig import RigDesign, SimulatedRig
-from drivers.gige_simulator.rig_requests import RigRequests
 from service.base.status import AcquisitionState, AcquisitionTarget, CheckStatus
 from service.commands.rehearsal.rehearsed_daemon import RehearsalError, RehearsedDaemon
 
@@ -19,22 +18,6 @@ QUIET_S = 2.0
 """A stone that passed the gate so long ago has its images, or will have none."""
 
 
-class Rig(Protocol):
-    """What falls through a rig, and what can be broken on it."""
-
-    def settings(self) -> dict[str, Any]:
-        """Return `[rig]` and what else of the configuration it needs."""
-
-    def flow(self, daemon: RehearsedDaemon) -> None:
-        """Let stones fall."""
-
-    def rest(self, daemon: RehearsedDaemon) -> None:
-        """Let no more fall, and return when all that fell has been seen."""
-
-    def fault(self, request: Mapping[str, Any]) -> None:
-        """Carry out a request as the control socket of `stonefall simulate` takes it."""
-
-
 class ReplayedRig:
     """A recording in a loop; it plays while the daemon is armed."""
 
@@ -42,24 +25,28 @@ class ReplayedRig:
         self._recording, self._speed, self._is_looping = recording, speed, is_looping
 
     def settings(self) -> dict[str, Any]:
+        """Return `[rig]` and what else of the configuration it needs."""
         recording = {"recording": str(self._recording), "loop": self._is_looping, "speed": self._speed}
         return {"rig": {"backend": "replay", **recording}}
 
     def flow(self, daemon: RehearsedDaemon) -> None:
+        """Let stones fall."""
         daemon.ask("/acquisition", {"state": AcquisitionTarget.ARMED}, "PUT")
 
     def rest(self, daemon: RehearsedDaemon) -> None:
+        """Let no more fall, and return when all that fell has been seen."""
         daemon.wait_for("/acquisition", lambda now: now["state"] in SETTLED)
         daemon.ask("/acquisition", {"state": AcquisitionTarget.DISARMED}, "PUT")
         daemon.wait_for("/acquisition", lambda now: now["state"] == AcquisitionState.DISARMED)
 
     def fault(self, request: Mapping[str, Any]) -> None:
+        """Carry out a request as the control socket of `stonefall simulate` takes it."""
         raise RehearsalError(
             f"{request}: a replayed recording has no cameras to break: set is_gige in the script"
         )
 
 
-class SimulatedGigeRig:
+class SimulatedGigeRig(SimulatedRig):
     """Cameras on loopback, a gate on a pseudo-terminal and a belt, in this process."""
 
     def __init__(self, recording: Path, speed: float, folder: Path) -> None:
@@ -71,20 +58,12 @@ class SimulatedGigeRig:
             is_looping=True,
             only_stones=True,
         )
-        self._rig = SimulatedRig(design, open_recording(recording))
-        self._requests = RigRequests(cameras=self._rig.cameras, gate=self._rig.gate, belt=self._rig.belt)
-
-    def __enter__(self) -> Self:
-        self._rig.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._rig.close()
+        super().__init__(design, open_recording(recording))
 
     def settings(self) -> dict[str, Any]:
         cameras = [
             {"id": camera.design.id, "serial": camera.design.serial, "address": camera.design.address}
-            for camera in self._rig.cameras.values()
+            for camera in self.cameras.values()
         ]
         rig = {
             "backend": "aravis",
@@ -97,15 +76,18 @@ class SimulatedGigeRig:
         return {"rig": rig, "empty_rig": {"at_start": 2, "every_s": 0.0}}
 
     def flow(self, daemon: RehearsedDaemon) -> None:
-        daemon.wait_for("/acquisition", lambda now: now["cameras_armed"] == len(self._rig.cameras))
+        daemon.wait_for("/acquisition", lambda now: now["cameras_armed"] == len(self.cameras))
         daemon.wait_for(
             "/health", lambda health: health["checks"]["background"]["status"] == CheckStatus.PASS
         )
-        self._rig.belt.start()
+        self.belt.start()
 
     def rest(self, daemon: RehearsedDaemon) -> None:
-        self._rig.belt.stop()
+        self.belt.stop()
         time.sleep(QUIET_S)
 
     def fault(self, request: Mapping[str, Any]) -> None:
         self._requests.answer(request)
+
+
+Rig = ReplayedRig | SimulatedGigeRig
