@@ -15,7 +15,7 @@ import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
+from rich.table import Column, Table
 from threadpoolctl import threadpool_limits
 
 from drivers.errors import RecordingError
@@ -65,16 +65,13 @@ class CalibrateOptions:
     """Rig file to write; an older one is replaced."""
     ball_diameter_mm: list[float] | None = None
     """Known diameter of the ball, mm; give it twice for balls of two sizes. Without it lengths are only as accurate
-    as those of the initial rig.
-    """
+    as those of the initial rig."""
     method: Method = Method.BUNDLE
     """bundle: bundle adjustment; paper: Algorithm 1 of the paper; stones: new poses for cameras that moved, from
-    any stones.
-    """
+    any stones."""
     model: str | None = None
     """With --method paper: U2-Net whose masks show the ball, by the name of a fetched model or the path of an ONNX
-    file; without it drops are compared with the empty rig.
-    """
+    file; without it drops are compared with the empty rig."""
     force: bool = False
     """Write the rig even if it should not be used."""
     workers: Annotated[int, typer.Option(min=1, max=256)] = os.cpu_count() or 1
@@ -233,10 +230,8 @@ def _print(table: Table, lines: Iterable[str]) -> None:
 
 
 def _table(report: CalibrationReport, covered: Coverage) -> Table:
-    table = Table("camera")
-    for title in ("drops", "field %", "before px", "after px", "f px", "focus mm"):
-        table.add_column(title, justify="right")
-    table.add_column("left out")
+    figures = ("drops", "field %", "before px", "after px", "f px", "focus mm")
+    table = Table("camera", *(Column(title, justify="right") for title in figures), "left out")
     for camera in report.rig.cameras:
         refused = Counter(
             views[camera.id].partition(":")[0]

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from drivers.cameras.description import genicam_xml
@@ -51,9 +51,8 @@ def command(
     if as_json:
         typer.echo(json.dumps([asdict(device) for device in found], indent=2))
     elif found:
-        table = Table()
-        for title in ("address", "serial", "user name", "model", "MAC"):
-            table.add_column(title, overflow="fold")
+        titles = ("address", "serial", "user name", "model", "MAC")
+        table = Table(*(Column(title, overflow="fold") for title in titles))
         for each in found:
             model = f"{each.vendor} {each.model} {each.version}"
             cells = (each.address, each.serial, each.user_name, model, each.mac)

@@ -36,25 +36,19 @@ def command(
         said = {"settings": document, "problems": wrong, "warnings": doubtful}
         typer.echo(json.dumps({"url": settings.api.local_url, **said}, indent=2))
     else:
-        typer.echo("\n".join(_sections(document)))
+        typer.echo("\n".join(_sections(document, settings.model_dump(mode="json", exclude_none=True))))
         for problem in [*wrong, *(f"warning: {each}" for each in doubtful)]:
             typer.echo(f"stonefall: {file}: {problem}", err=True)
     if wrong:
         raise typer.Exit(1)
 
 
-def _sections(document: Mapping[str, Mapping[str, Any] | None]) -> Iterator[str]:
+def _sections(document: Mapping[str, Mapping[str, Any] | None], known: Mapping[str, Any]) -> Iterator[str]:
     """Yield each section as TOML that can be read again; settings without a value are comments below its header."""
     for name, values in document.items():
         if values is None:
             yield f"# [{name}] is not set\n"
             continue
-        header, *lines = tomli_w.dumps({name: _without_none(values)}).splitlines()
+        header, *lines = tomli_w.dumps({name: known[name]}).splitlines()
         unset = [f"# {key} is not set" for key, value in values.items() if value is None]
         yield "\n".join([header, *unset, *lines, ""])
-
-
-def _without_none(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _without_none(each) for name, each in value.items() if each is not None}
-    return [_without_none(each) for each in value] if isinstance(value, list) else value

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from service.base.errors import UsageError
 from service.commands.daemon_client import DaemonClient
@@ -173,9 +173,8 @@ def _passing_beyond(figures: Sequence[ComparedFigure], limit: float | None) -> l
 
 def _print(changes: StoneChanges, figures: Sequence[ComparedFigure], beyond: Sequence[str]) -> None:
     console = Console()
-    table = Table(title=f"{changes.n_common} stones")
-    for heading in ("figure", "changed", "mean", "rms", "largest", "of stone"):
-        table.add_column(heading, justify="left" if heading in ("figure", "of stone") else "right")
+    numbers = (Column(name, justify="right") for name in ("changed", "mean", "rms", "largest"))
+    table = Table("figure", *numbers, "of stone", title=f"{changes.n_common} stones")
     for each in changes.fields:
         worst = each.largest[0] if each.n_changed else None
         table.add_row(
@@ -188,9 +187,8 @@ def _print(changes: StoneChanges, figures: Sequence[ComparedFigure], beyond: Seq
         )
     console.print(table)
     if changes.n_changed:
-        as_lots = Table(title="as lots")
-        for name in ("figure", "before", "after", "difference"):
-            as_lots.add_column(name, justify="left" if name == "figure" else "right")
+        numbers = (Column(name, justify="right") for name in ("before", "after", "difference"))
+        as_lots = Table("figure", *numbers, title="as lots")
         for figure in figures:
             if figure.difference is not None:
                 values = (f"{figure.a.value:.3f}", f"{figure.b.value:.3f}", f"{figure.difference:+.4f}")

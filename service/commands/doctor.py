@@ -58,11 +58,7 @@ def check_host_command(
     Each fault has its remedy: a command, or a file of deploy/host and where it goes. Nothing is changed.
     """
     findings = check_host(host_at(root), host_needs(load_settings(config)))
-    if as_json:
-        typer.echo(json.dumps([asdict(finding) for finding in findings], indent=2))
-    else:
-        _show("Host", findings)
-    _exit_by(findings)
+    _report({"Host": findings}, list(map(asdict, findings)) if as_json else None)
 
 
 def command(
@@ -90,13 +86,8 @@ def command(
         "Configuration": list(_configuration(config, settings)),
         "Rig": list(_rig(settings, host, DaemonClient(url or settings.api.local_url, key), is_fired=pulse)),
     }
-    if as_json:
-        documents = {name.lower(): [asdict(finding) for finding in part] for name, part in parts.items()}
-        typer.echo(json.dumps(documents, indent=2))
-    else:
-        for name, part in parts.items():
-            _show(name, part)
-    _exit_by([finding for part in parts.values() for finding in part])
+    documents = {name.lower(): list(map(asdict, part)) for name, part in parts.items()}
+    _report(parts, documents if as_json else None)
 
 
 def diagnostics_command(
@@ -196,6 +187,17 @@ def _rig(settings: Settings, host: Host, daemon: DaemonClient, *, is_fired: bool
         yield from asyncio.run(check_pulse(rig, settings))
 
 
+def _report(parts: Mapping[str, Sequence[Finding]], document: object | None) -> None:
+    """Print the document, or else the findings by part; exit with 1 if there is a fault."""
+    if document is not None:
+        typer.echo(json.dumps(document, indent=2))
+    else:
+        for title, findings in parts.items():
+            _show(title, findings)
+    if any(finding.verdict is HostVerdict.FAULT for findings in parts.values() for finding in findings):
+        raise typer.Exit(1)
+
+
 def _show(title: str, findings: Sequence[Finding]) -> None:
     """Print a part of the findings, each fault with its remedy below it."""
     table = Table(
@@ -212,8 +214,3 @@ def _show(title: str, findings: Sequence[Finding]) -> None:
             found.append(f"\n-> {finding.remedy}", style="bold")
         table.add_row(verdict, finding.subject, found)
     Console(width=None if Console().is_terminal else 160).print(table)
-
-
-def _exit_by(findings: Sequence[Finding]) -> None:
-    if any(finding.verdict is HostVerdict.FAULT for finding in findings):
-        raise typer.Exit(1)

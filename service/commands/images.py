@@ -24,6 +24,7 @@ from drivers.files.recording import (
 from drivers.files.rig_file import read_rig, write_rig
 from drivers.interfaces import FrameLossReason
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger, rfc3339
+from pipeline.rig.cameras import RigCalibration
 from service.base.errors import UsageError
 
 SPACING_NS = 250_000_000
@@ -47,7 +48,6 @@ def import_command(
     """Make a recording from folders of 8-bit grey PNG images; a missing file means a missing view."""
     calibration = read_rig(rig)
     folders = _bundle_folders(source, background or [])
-    size_px = calibration.cameras[0].image_size_px
     started_at = datetime.now(UTC)
     with RecordingWriter(
         out,
@@ -56,8 +56,7 @@ def import_command(
     ) as writer:
         console = Console(file=sys.stderr)
         for sequence, (folder, kind) in enumerate(track(folders, "importing", console=console)):
-            bundle = _bundle(folder, kind, sequence, calibration.camera_ids, size_px, started_at)
-            writer.add(bundle)
+            writer.add(_bundle(folder, kind, sequence, calibration, started_at))
 
 
 def export_command(
@@ -122,17 +121,12 @@ def _bundle_folders(source: Path, backgrounds: Sequence[str]) -> list[tuple[Path
 
 
 def _bundle(
-    folder: Path,
-    kind: BundleKind,
-    sequence: int,
-    camera_ids: Sequence[CameraId],
-    size_px: tuple[int, int],
-    started_at: datetime,
+    folder: Path, kind: BundleKind, sequence: int, rig: RigCalibration, started_at: datetime
 ) -> FrameBundle:
     files = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() == ".png":
-            if path.stem not in camera_ids:
+            if path.stem not in rig.camera_ids:
                 raise RecordingError(path, f"{path.stem!r} is no camera of the rig")
             files[CameraId(path.stem)] = path
     if not files:
@@ -142,7 +136,7 @@ def _bundle(
     frames = {
         camera: Frame(
             camera=camera,
-            image=read_png(path, size_px),
+            image=read_png(path, rig.cameras[0].image_size_px),
             frame_id=sequence + 1,
             device_ns=trigger_ns + EXPOSURE_DELAY_NS,
             received_ns=trigger_ns + EXPOSURE_DELAY_NS + TRANSFER_NS,
@@ -159,5 +153,5 @@ def _bundle(
             name=folder.name,
         ),
         frames=frames,
-        missing={camera: "no_image" for camera in camera_ids if camera not in files},
+        missing={camera: "no_image" for camera in rig.camera_ids if camera not in files},
     )

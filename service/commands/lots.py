@@ -8,7 +8,7 @@ from urllib.parse import quote, urlencode
 
 import typer
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from drivers.files.durable import write_file
 from service.base.errors import UsageError
@@ -202,9 +202,10 @@ def why_open(figures: dict[str, Any]) -> str | None:
 
 def curve_table(figures: dict[str, Any]) -> Table:
     """Return the curve as a table for a terminal: passing with its interval, limits and verdict."""
-    table = Table(title=f"{figures['sieve_set']}: {figures['measured']} stones")
-    for name in ("sieve, mm", "passing, %", "95 %", "limits", "verdict"):
-        table.add_column(name, justify="right")
+    columns = (
+        Column(name, justify="right") for name in ("sieve, mm", "passing, %", "95 %", "limits", "verdict")
+    )
+    table = Table(*columns, title=f"{figures['sieve_set']}: {figures['measured']} stones")
     for step in figures["curve"]:
         passing, decision = step["passing_percent"], step["decision"]
         is_measured = passing["value"] is not None

@@ -8,16 +8,10 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from service.commands.cli import imported
-from service.processing.models.networks import (
-    PUBLISHED,
-    Device,
-    default_models_dir,
-    fetch_model,
-    list_models,
-)
+from service.processing.models.networks import PUBLISHED, Device, default_models_dir, fetch_model, list_models
 
 command = typer.Typer(help="List, fetch and train the networks that segment images.")
 
@@ -57,9 +51,8 @@ def list_all(
     if as_json:
         typer.echo(json.dumps([asdict(entry) for entry in entries], indent=2))
         return
-    table = Table()
-    for title in ("name", "kind", "parameters", "bytes", "sha256", "metrics or problem"):
-        table.add_column(title, overflow="fold")
+    titles = ("name", "kind", "parameters", "bytes", "sha256", "metrics or problem")
+    table = Table(*(Column(title, overflow="fold") for title in titles))
     for entry in entries:
         numbers = (entry.n_parameters, entry.size_bytes)
         cells = ("" if number is None else f"{number:,}" for number in numbers)

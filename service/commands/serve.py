@@ -53,11 +53,8 @@ def compile_command(config: Config) -> None:
     from service.processing.worker_pool import WorkerPool
 
     settings = load_settings(config)
-    context = WorkerContext(
-        parameters=settings.pipeline,
-        is_simulated=False,
-        segmentation=plan_segmenter(settings.segmentation),
-    )
+    segmentation = plan_segmenter(settings.segmentation)
+    context = WorkerContext(parameters=settings.pipeline, is_simulated=False, segmentation=segmentation)
     slots, deadline_s = settings.workers.slots, settings.workers.deadline_s
 
     async def warm_up() -> None:

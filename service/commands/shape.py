@@ -10,7 +10,7 @@ import trimesh
 import typer
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
+from rich.table import Column, Table
 
 from drivers.errors import RecordingError
 from drivers.files.mesh_parsing import MESH_DAMAGE, parse_mesh
@@ -48,10 +48,9 @@ def command(
     else:
         console = Console()
         for i in range(0, len(measured), MESHES_PER_TABLE):
-            shown, table = measured[i : i + MESHES_PER_TABLE], Table()
-            table.add_column(no_wrap=True)
-            for shape in shown:
-                table.add_column(Path(shape["file"]).name, justify="right", overflow="fold")
+            shown = measured[i : i + MESHES_PER_TABLE]
+            files = (Column(Path(shape["file"]).name, justify="right", overflow="fold") for shape in shown)
+            table = Table(Column(no_wrap=True), *files)
             for name in ROWS:
                 table.add_row(name, *(_text(shape[name]) for shape in shown))
             console.print(table)

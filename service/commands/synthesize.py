@@ -18,24 +18,8 @@ from pipeline.fall import GRAVITY_MM_S2, Fall
 from pipeline.frames import BundleKind, rfc3339
 from pipeline.measuring import ShapeMeasurement, measure_shape
 from pipeline.rig.design import as_built, nominal_rig
-from pipeline.synthesis.bodies import (
-    Body,
-    Looks,
-    SurfaceKind,
-    ball,
-    body_from_mesh,
-    cube,
-    cylinder,
-    sphere,
-)
-from pipeline.synthesis.bundles import (
-    FIRST_UTC,
-    TRIGGER_DELAY_NS,
-    Timing,
-    render_bundle,
-    render_empty,
-    stream,
-)
+from pipeline.synthesis.bodies import Body, Looks, SurfaceKind, ball, body_from_mesh, cube, cylinder, sphere
+from pipeline.synthesis.bundles import FIRST_UTC, Timing, render_bundle, render_empty, stream
 from pipeline.synthesis.exposure import BLUR_PX, LENS_PRESETS, LensPreset
 from pipeline.synthesis.placement import SPREAD_MM, drop_across, tumble
 from pipeline.synthesis.renderer import simulate_rig
@@ -45,12 +29,7 @@ from service.base.errors import UsageError
 from service.commands.options import Json, changed, with_options
 from service.commands.shape import read_mesh
 
-STANDARDS: dict[str, Callable[[], Body]] = {
-    "ball": ball,
-    "sphere": sphere,
-    "cylinder": cylinder,
-    "cube": cube,
-}
+STANDARDS: dict[str, Callable[[], Body]] = {each.__name__: each for each in (ball, sphere, cylinder, cube)}
 STONES = "stones"
 MAX_RADIUS_MM = 100.0
 BALL_DIAMETERS_MM = (2.0, 40.0)
@@ -106,8 +85,7 @@ class SynthesizeOptions:
     """Exposure time, us; motion blur is 1 px in 20 us."""
     lens: LensPreset = LensPreset.SHARP
     """Lens of 25 mm, focused at 300 mm, at an f-number (f2 as published), with depth blur, vignetting and glare;
-    sharp: the same small blur for everything.
-    """
+    sharp: the same small blur for everything."""
     blur_px: Annotated[float | None, typer.Option(min=BLUR_PX[0], max=BLUR_PX[1])] = None
     """Blur (sigma) of a point in focus, px; default: the lens's."""
     read_noise: Annotated[float | None, typer.Option(min=0, max=50)] = None
@@ -140,6 +118,7 @@ def command(options: SynthesizeOptions) -> None:
     design = nominal_rig(created_at=rfc3339(FIRST_UTC, "auto"))
     true_rig = as_built(design, options.seed) if options.rig is None else read_rig(options.rig)
     names = [name.strip() for name in options.bodies.split(",")]
+    timing = Timing(period_ns=round(1e9 / options.rate_hz))
     writer = RecordingWriter(
         options.out,
         RecordingSource(
@@ -147,7 +126,7 @@ def command(options: SynthesizeOptions) -> None:
             rig=true_rig,
             is_simulated=True,
             camera_settings={"exposure_us": options.exposure_us},
-            gate_settings={"trigger_delay_ms": TRIGGER_DELAY_NS / 1e6, "rate_hz": options.rate_hz},
+            gate_settings={"trigger_delay_ms": timing.delay_ns / 1e6, "rate_hz": options.rate_hz},
         ),
         made_by={
             "command": "synthesize",
@@ -171,7 +150,6 @@ def command(options: SynthesizeOptions) -> None:
             write_rig(writer.folder / "rig-nominal.json", design)
         (writer.folder / "truth").mkdir()
         with (writer.folder / "truth.jsonl").open("w", encoding="utf-8") as truth_lines:
-            timing = Timing(period_ns=round(1e9 / options.rate_hz))
             numbers = range(1, options.backgrounds + options.count + 1)
             for sequence in track(numbers, "synthesizing", console=Console(stderr=True)):
                 index = sequence - 1 - options.backgrounds
@@ -194,7 +172,7 @@ def command(options: SynthesizeOptions) -> None:
                     rng,
                     sequence=sequence,
                     label=body.name,
-                    timing=replace(timing, delay_ns=TRIGGER_DELAY_NS + round(late_ms * 1e6)),
+                    timing=replace(timing, delay_ns=timing.delay_ns + round(late_ms * 1e6)),
                 )
                 truth = truth_of(placed, bundle, shape)
                 writer.add(bundle)
