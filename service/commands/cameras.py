@@ -1,7 +1,7 @@
 """`stonefall cameras`: find GigE cameras, and print the GenICam description of one."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from ipaddress import IPv4Address
 from typing import Annotated
 
@@ -12,6 +12,7 @@ from rich.text import Text
 
 from drivers.cameras.description import genicam_xml
 from drivers.gvcp import discover, local_addresses
+from service.commands.options import Json, with_options
 
 
 def ipv4_address(text: str) -> str:
@@ -22,33 +23,26 @@ def ipv4_address(text: str) -> str:
         raise typer.BadParameter(str(err)) from err
 
 
-def command(
-    xml: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            parser=ipv4_address,
-            help="Print the GenICam XML of the camera at this address.",
-        ),
-    ] = None,
-    interface: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="IP",
-            parser=ipv4_address,
-            help="Search only the network port of this machine with this address; may be repeated.",
-        ),
-    ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print a JSON list with one object for each camera.")
-    ] = False,
-) -> None:
+@dataclass(frozen=True, slots=True)
+class CamerasOptions:
+    """Options of `stonefall cameras`."""
+
+    xml: Annotated[str | None, typer.Option(metavar="ADDRESS", parser=ipv4_address)] = None
+    """Print the GenICam XML of the camera at this address."""
+    interface: Annotated[list[str] | None, typer.Option(metavar="IP", parser=ipv4_address)] = None
+    """Search only the network port of this machine with this address; may be repeated."""
+    as_json: Json = False
+    """Print a JSON list with one object for each camera."""
+
+
+@with_options
+def command(options: CamerasOptions) -> None:
     """List all GigE cameras on the networks of this machine, also those in use."""
-    if xml is not None:
-        typer.echo(genicam_xml(xml))
+    if options.xml is not None:
+        typer.echo(genicam_xml(options.xml))
         return
-    found = discover(interface)
-    if as_json:
+    found = discover(options.interface)
+    if options.as_json:
         typer.echo(json.dumps([asdict(device) for device in found], indent=2))
     elif found:
         titles = ("address", "serial", "user name", "model", "MAC")
@@ -61,4 +55,6 @@ def command(
             )  # as text: rich would print the :cd: of a MAC as a picture of a disc
         Console().print(table)
     else:
-        typer.echo(f"No camera answers on the networks of {', '.join(interface or local_addresses())}.")
+        typer.echo(
+            f"No camera answers on the networks of {', '.join(options.interface or local_addresses())}."
+        )

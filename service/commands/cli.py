@@ -17,7 +17,7 @@ from service.processing.compiled_code import isolate_numba_cache
 COMMANDS = {
     "init": "service.commands.init",
     "serve": "service.commands.serve",
-    "check-config": "service.commands.check_config",
+    "check-config": "service.commands.init",
     "check-host": "service.commands.doctor",
     "doctor": "service.commands.doctor",
     "diagnostics": "service.commands.doctor",

@@ -1,8 +1,9 @@
-"""`stonefall init`: the first configuration of a rig, asked for or from options, and what comes next."""
+"""`stonefall init` and `check-config`: the configuration of a rig, asked for and written; printed, and its faults."""
 
 import csv
+import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,8 +20,9 @@ from pipeline.rig.design import nominal_rig
 from service.base.errors import SettingsError, UsageError
 from service.commands.cameras import ipv4_address
 from service.commands.options import with_options
+from service.configuration.rig_checks import rig_warnings
 from service.configuration.rig_settings import CameraPlace
-from service.configuration.settings import load_settings, problems, shortcomings
+from service.configuration.settings import Settings, load_settings, problems, shortcomings
 
 TEMPLATE = Path(__file__).with_name("stonefall.toml.jinja")
 GATES = Path("/dev/serial/by-id")
@@ -125,6 +127,47 @@ def command(options: InitOptions) -> None:
         raise typer.Exit(1)
 
 
+def check_config_command(
+    file: Annotated[Path, typer.Argument(help="Configuration file, see deploy/stonefall.toml.")],
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print settings, problems, warnings, and the URL here as JSON.")
+    ] = False,
+) -> None:
+    """Print all settings of a configuration file, defaults included, and what is wrong; exit 0 if nothing is.
+
+    A warning names a setting that is allowed but rarely intended; it is no fault.
+    """
+    try:
+        settings = load_settings(file)
+    except SettingsError as err:
+        if as_json:
+            typer.echo(json.dumps({"settings": None, "problems": [str(err)], "warnings": []}, indent=2))
+        raise
+    document = settings.model_dump(mode="json")
+    wrong = _wrong(settings)
+    doubtful = list(rig_warnings(settings.rig))
+    if as_json:
+        said = {"settings": document, "problems": wrong, "warnings": doubtful}
+        typer.echo(json.dumps({"url": settings.api.local_url, **said}, indent=2))
+    else:
+        typer.echo("\n".join(_sections(document, settings.model_dump(mode="json", exclude_none=True))))
+        for problem in [*wrong, *(f"warning: {each}" for each in doubtful)]:
+            typer.echo(f"stonefall: {file}: {problem}", err=True)
+    if wrong:
+        raise typer.Exit(1)
+
+
+def _sections(document: Mapping[str, Mapping[str, Any] | None], known: Mapping[str, Any]) -> Iterator[str]:
+    """Yield each section as TOML that can be read again; settings without a value are comments below its header."""
+    for name, values in document.items():
+        if values is None:
+            yield f"# [{name}] is not set\n"
+            continue
+        header, *lines = tomli_w.dumps({name: known[name]}).splitlines()
+        unset = [f"# {key} is not set" for key, value in values.items() if value is None]
+        yield "\n".join([header, *unset, *lines, ""])
+
+
 def _from_options(given: Sequence[str]) -> dict[str, CameraPlace]:
     named: dict[str, CameraPlace] = {}
     for each in given:
@@ -216,7 +259,7 @@ def _line(name: str, value: Any, example: Any = None) -> str:
 
 
 def _missing(file: Path, absent: Sequence[str], gate: str | None) -> list[str]:
-    """Return the missing and the wrong settings, in the words of `check-config`."""
+    """Return the missing and the wrong settings."""
     missing = [f"rig.cameras: no camera for {', '.join(absent)}"] if absent else []
     if gate is None:
         missing.append(
@@ -228,6 +271,10 @@ def _missing(file: Path, absent: Sequence[str], gate: str | None) -> list[str]:
         settings = load_settings(file)
     except SettingsError as err:
         return [str(err)]
+    return _wrong(settings)
+
+
+def _wrong(settings: Settings) -> list[str]:
     return [*problems(settings), *shortcomings(settings)]
 
 
