@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
@@ -15,7 +15,7 @@ from service.calibration.verifications import VerificationState
 from service.commands.daemon_client import AsJson, DaemonClient, DaemonError
 from service.commands.options import with_options
 
-FOLLOW_S = 1.0
+FOLLOW_S, SOLVING_S = 1.0, 0.2
 
 command = typer.Typer(
     no_args_is_help=True,
@@ -71,8 +71,7 @@ def status(name: Name, follow: Follow = False, *, daemon: DaemonClient, as_json:
 def solve(name: Name, by: By = None, *, daemon: DaemonClient, as_json: AsJson = False) -> None:
     """Solve a calibration from the drops so far, and show the result."""
     daemon.ask(f"/calibrations/{name}/solve", {"by": by})
-    while (details := daemon.ask(f"/calibrations/{name}"))["state"] == CalibrationState.SOLVING:
-        time.sleep(0.2)
+    *_, details = _watched(daemon, f"/calibrations/{name}", (CalibrationState.SOLVING,), SOLVING_S)
     if details["state"] != CalibrationState.SOLVED:
         raise DaemonError(f"calibration {name} is {details['state']}: {details['detail']}")
     _show(details, as_json)
@@ -111,22 +110,18 @@ def verify(
 ) -> None:
     """Verify the calibration in use with the next balls; exit 1 when it fails."""
     wanted = {"diameter_mm": diameter_mm, "count": count, "note": note, "by": by}
-    found = daemon.ask("/verifications", wanted)
-    typer.echo(f"verification {found['id']}: drop the ball {count} times", err=as_json)
+    name = daemon.ask("/verifications", wanted)["id"]
+    typer.echo(f"verification {name}: drop the ball {count} times", err=as_json)
     n_shown = 0
-    while True:
+    for found in _watched(daemon, f"/verifications/{name}", (VerificationState.COLLECTING,)):
         for ball in found["balls"][n_shown:]:
             measured = ball["detail"] or f"{ball['equivalent_diameter_mm']:.3f} mm"
             typer.echo(f"{ball['bundle']}: {measured}", err=as_json)
         n_shown = len(found["balls"])
-        if found["state"] != VerificationState.COLLECTING:
-            break
-        time.sleep(FOLLOW_S)
-        found = daemon.ask(f"/verifications/{found['id']}")
     if as_json:
         typer.echo(json.dumps(found))
     if found["state"] != VerificationState.PASSED:
-        raise DaemonError(f"verification {found['id']} {found['state']}: {'; '.join(found['problems'])}")
+        raise DaemonError(f"verification {name} {found['state']}: {'; '.join(found['problems'])}")
     if not as_json:
         summary = found["summary"]
         difference_mm = summary["vertical_minus_horizontal_mm"]
@@ -162,16 +157,22 @@ def list_all(daemon: DaemonClient, as_json: AsJson = False) -> None:
 def _follow(daemon: DaemonClient, name: str, as_json: bool) -> None:
     """Print each drop as it is observed, until the calibration is accepted, rejected or cancelled."""
     n_shown = 0
-    while True:
-        details = daemon.ask(f"/calibrations/{name}")
+    for details in _watched(daemon, f"/calibrations/{name}", OPEN):
         for number, ball in enumerate(details["drops"][n_shown:], start=n_shown + 1):
             typer.echo(json.dumps(ball) if as_json else _line(number, ball, details))
             n_shown = number
-        if details["state"] not in OPEN:
-            if not as_json:
-                _show(details)
-            return
-        time.sleep(FOLLOW_S)
+    if not as_json:
+        _show(details)
+
+
+def _watched(
+    daemon: DaemonClient, path: str, states: Container[str], pause_s: float = FOLLOW_S
+) -> Iterator[dict[str, Any]]:
+    """Yield the document at a path again and again while it is in these states, and once after them."""
+    while (found := daemon.ask(path))["state"] in states:
+        yield found
+        time.sleep(pause_s)
+    yield found
 
 
 def _line(number: int, ball: Mapping[str, Any], details: Mapping[str, Any]) -> str:

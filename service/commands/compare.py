@@ -8,7 +8,6 @@ import json
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,31 +32,33 @@ NAMED = 10
 """Stones whose outcome or quality is another one that are named for people; `--json` names all."""
 
 Stones = dict[str, dict[str, Any]]
-Limit = partial(typer.Option, min=0.0)
+Limit = Annotated[float | None, typer.Option(min=0.0)]
 
 
 @dataclass(frozen=True, slots=True)
 class CompareOptions:
     """Options of `stonefall compare`."""
 
-    old: Annotated[str, typer.Argument(help="Folder of results; with --lot a version such as 13, or r1.")]
-    new: Annotated[str, typer.Argument(help="The same, of the new release; r2 is the second revision.")]
-    lot: Annotated[str | None, typer.Option(help="Compare stones of this lot of a running daemon.")] = None
-    max_volume_percent: Annotated[float | None, Limit(help="Largest change of a stone's volume.")] = None
-    max_sieve_mm: Annotated[float | None, Limit(help="Largest change of a stone's sieve size.")] = None
-    max_axes_mm: Annotated[
-        float | None, Limit(help="Largest change of a stone's axes and Feret diameters.")
-    ] = None
-    max_shape: Annotated[float | None, Limit(help="Largest change of a stone's shape factors, 0 to 1.")] = (
-        None
-    )
-    max_passing_percent: Annotated[
-        float | None, Limit(help="Largest change of the lot's passing at a sieve, in points.")
-    ] = None
-    same_words: Annotated[
-        bool, typer.Option("--same-words", help="Outcome, reason and quality of each stone must be equal.")
-    ] = False
-    sieve_set: Annotated[str, typer.Option("--sieves", help="Name of a sieve set.")] = "stonefall"
+    old: Annotated[str, typer.Argument()]
+    """Folder of results; with --lot a version such as 13, or r1."""
+    new: Annotated[str, typer.Argument()]
+    """The same, of the new release; r2 is the second revision."""
+    lot: str | None = None
+    """Compare stones of this lot of a running daemon."""
+    max_volume_percent: Limit = None
+    """Largest change of a stone's volume."""
+    max_sieve_mm: Limit = None
+    """Largest change of a stone's sieve size."""
+    max_axes_mm: Limit = None
+    """Largest change of a stone's axes and Feret diameters."""
+    max_shape: Limit = None
+    """Largest change of a stone's shape factors, 0 to 1."""
+    max_passing_percent: Limit = None
+    """Largest change of the lot's passing at a sieve, in points."""
+    same_words: bool = False
+    """Outcome, reason and quality of each stone must be equal."""
+    sieve_set: Annotated[str, typer.Option("--sieves")] = "stonefall"
+    """Name of a sieve set."""
 
 
 @with_options

@@ -49,12 +49,8 @@ def check_cameras(rig: AravisRigSettings, host: Host) -> Iterator[Finding]:
     """Check that each camera answers, is the one that is meant, and is reached through the right port."""
     sought = rig.sought_cameras()
     with ThreadPoolExecutor(len(sought)) as threads:  # one named by its serial takes half a second to find
-        answers = list(threads.map(_find, sought))
-    found = {
-        camera.id: answer
-        for camera, answer in zip(sought, answers, strict=True)
-        if not isinstance(answer, DeviceError)
-    }
+        answers = list(zip(sought, threads.map(_find, sought), strict=True))
+    found = {camera.id: answer for camera, answer in answers if not isinstance(answer, DeviceError)}
     yield judged(
         "cameras",
         is_good=len(found) == len(sought),
@@ -66,7 +62,7 @@ def check_cameras(rig: AravisRigSettings, host: Host) -> Iterator[Finding]:
     if len(found) < len(sought):
         with suppress(OSError):
             elsewhere = discover()
-    for camera, answer in zip(sought, answers, strict=True):
+    for camera, answer in answers:
         if isinstance(answer, DeviceError):
             yield fault(
                 f"camera {camera.id}",

@@ -32,7 +32,7 @@ from research.tables import (
     size_table,
 )
 from service.base.errors import UsageError
-from service.commands.options import with_options
+from service.commands.options import Json, with_options
 from service.commands.synthesize import (
     GlossOption,
     InterreflectionOption,
@@ -56,27 +56,16 @@ Outcome = TypeVar("Outcome")
 class BenchmarkOptions:
     """Options of `stonefall benchmark`."""
 
-    accuracy: Annotated[
-        bool, typer.Option("--accuracy", help="Measure distances to true surfaces instead of times.")
-    ] = False
-    paper: Annotated[
-        bool,
-        typer.Option(
-            "--paper",
-            help="Repeat the paper's Tables 1 to 3 and, with --pictures, its Figures 7, 8, 9 and 11: its method as a "
-            "whole beside ours, on the same images.",
-        ),
-    ] = False
-    model: Annotated[
-        str,
-        typer.Option(
-            help="With --paper: U2-Net, by the name of a fetched model or the path of an ONNX file."
-        ),
-    ] = "u2netp"
-    scaling: Annotated[
-        bool,
-        typer.Option("--scaling", help="Time one stone with several numbers of voxels, views and workers."),
-    ] = False
+    accuracy: bool = False
+    """Measure distances to true surfaces instead of times."""
+    paper: bool = False
+    """Repeat the paper's Tables 1 to 3 and, with --pictures, its Figures 7, 8, 9 and 11: its method as a whole
+    beside ours, on the same images.
+    """
+    model: str = "u2netp"
+    """With --paper: U2-Net, by the name of a fetched model or the path of an ONNX file."""
+    scaling: bool = False
+    """Time one stone with several numbers of voxels, views and workers."""
     bodies: Annotated[
         str | None,
         typer.Option(
@@ -85,36 +74,21 @@ class BenchmarkOptions:
             f" Default: all; with --paper none of {IRREGULAR}."
         ),
     ] = None
-    poses: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            max=1000,
-            help="Random poses of each body; without --accuracy stones of each size, with --scaling repetitions.",
-        ),
-    ] = 10
-    seed: Annotated[
-        int, typer.Option(min=0, help="Equal seeds give equal rigs, images, bodies and poses.")
-    ] = 1
-    rigs: Annotated[
-        str,
-        typer.Option(
-            help="true: the one that took the images; paper: its calibration, 8 drops; ours: 20 drops."
-        ),
-    ] = ",".join(RIGS)
-    lens: Annotated[LensPreset, typer.Option(help="Lens of the images of --accuracy; f2 as published.")] = (
-        LensPreset.F2
-    )
+    poses: Annotated[int, typer.Option(min=1, max=1000)] = 10
+    """Random poses of each body; without --accuracy stones of each size, with --scaling repetitions."""
+    seed: Annotated[int, typer.Option(min=0)] = 1
+    """Equal seeds give equal rigs, images, bodies and poses."""
+    rigs: str = ",".join(RIGS)
+    """true: the one that took the images; paper: its calibration, 8 drops; ours: 20 drops."""
+    lens: LensPreset = LensPreset.F2
+    """Lens of the images of --accuracy; f2 as published."""
     surfaces: SurfacesOption = SurfaceKind.MOTTLED.value
     gloss: GlossOption = 0.0
     interreflection: InterreflectionOption = False
-    pictures: Annotated[
-        Path | None,
-        typer.Option(help="Folder for pictures of each body's first pose, coloured by distance."),
-    ] = None
-    as_json: Annotated[bool, typer.Option("--json", help="Print all results as JSON, with each trial.")] = (
-        False
-    )
+    pictures: Path | None = None
+    """Folder for pictures of each body's first pose, coloured by distance."""
+    as_json: Json = False
+    """Print all results as JSON, with each trial."""
 
 
 @with_options

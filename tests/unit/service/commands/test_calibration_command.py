@@ -156,7 +156,7 @@ def test_a_verification_ends_with_its_verdict(daemon: Pretender):
     assert (done.exit_code, str(done.exception)) == (1, "verification 0001 failed: 0.200 mm off")
     assert "7: 15.200 mm" in done.output
     summary = {"error_mm": 0.01, "sd_mm": 0.002, "vertical_minus_horizontal_mm": None}
-    daemon.answers = [(201, {**verdict, "state": "passed", "summary": summary})]
+    daemon.answers = [(201, found), (200, {**verdict, "state": "passed", "summary": summary})]
     assert "passed: diameter +0.010 mm off" in daemon.run("verify").output
 
 
