@@ -55,8 +55,6 @@ UNSEEN_LENSES = {
 
 @dataclass(frozen=True, slots=True)
 class CalibrateOptions:
-    """Options of `stonefall calibrate`."""
-
     recording: Annotated[Path, typer.Argument()]
     """Folder of the recording of ball drops."""
     initial: Path

@@ -30,8 +30,6 @@ By = Annotated[str | None, typer.Option(help="Who decides; kept with the calibra
 
 @dataclass(frozen=True, slots=True)
 class StartOptions:
-    """Options of `stonefall calibration start`: members of the request."""
-
     ball_diameters_mm: Annotated[list[float] | None, typer.Option("--ball-diameter-mm")] = None
     """Diameter of the ball, mm; give it twice for balls of two sizes."""
     method: str = "bundle"

@@ -25,8 +25,6 @@ def ipv4_address(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class CamerasOptions:
-    """Options of `stonefall cameras`."""
-
     xml: Annotated[str | None, typer.Option(metavar="ADDRESS", parser=ipv4_address)] = None
     """Print the GenICam XML of the camera at this address."""
     interface: Annotated[list[str] | None, typer.Option(metavar="IP", parser=ipv4_address)] = None

@@ -37,8 +37,6 @@ Limit = Annotated[float | None, typer.Option(min=0.0)]
 
 @dataclass(frozen=True, slots=True)
 class CompareOptions:
-    """Options of `stonefall compare`."""
-
     old: Annotated[str, typer.Argument()]
     """Folder of results; with --lot a version such as 13, or r1."""
     new: Annotated[str, typer.Argument()]

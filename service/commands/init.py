@@ -31,8 +31,6 @@ COLUMNS = ("serial", "address", "user_name")
 
 @dataclass(frozen=True, slots=True)
 class InitOptions:
-    """Options of `stonefall init`."""
-
     file: Annotated[Path, typer.Argument()]
     """Configuration file to write, such as /etc/stonefall/stonefall.toml."""
     interface: Annotated[list[str] | None, typer.Option(metavar="IP", parser=ipv4_address)] = None

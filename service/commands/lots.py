@@ -29,8 +29,6 @@ SieveSet = Annotated[str | None, typer.Option("--sieves", help="Sieve set, in th
 
 @dataclass(frozen=True, slots=True)
 class ProductOptions(SizeOptions):
-    """Options of `stonefall lots product`."""
-
     title: Annotated[str | None, typer.Option(help="For people; the name when absent.")] = None
     sieve_set: SieveSet = None
     flakiness_category: Annotated[str | None, typer.Option(help="Such as FI20.")] = None
@@ -54,8 +52,6 @@ def product(
 
 @dataclass(frozen=True, slots=True)
 class OpenOptions:
-    """Options of `stonefall lots open`."""
-
     lot: Lot
     product: Annotated[str, typer.Option(help="Name of the product.")]
     equipment: Annotated[str | None, typer.Option(help="The crusher or belt that it comes from.")] = None

@@ -65,8 +65,6 @@ class MethodName(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class MeasureOptions:
-    """Options of `stonefall measure`."""
-
     recording: Annotated[Path, typer.Argument()]
     """Folder of the recording."""
     out: Path

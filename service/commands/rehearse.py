@@ -34,8 +34,6 @@ SETTINGS = {
 
 @dataclass(frozen=True, slots=True)
 class RehearseOptions:
-    """Options of `stonefall rehearse`."""
-
     script: str = "day"
     """Script to play; --list shows all."""
     is_list: Annotated[bool, typer.Option("--list")] = False

@@ -39,8 +39,6 @@ class BeltStart(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SimulateOptions:
-    """Options of `stonefall simulate`."""
-
     recording: Annotated[Path | None, typer.Argument()] = None
     """Recording that is played; default: --bodies, rendered once and kept."""
     address: str = "127.0.0.2"

@@ -59,8 +59,6 @@ BodySource = Callable[[int, np.random.Generator], tuple[Body, ShapeMeasurement]]
 
 @dataclass(frozen=True, slots=True)
 class SynthesizeOptions:
-    """Options of `stonefall synthesize`."""
-
     out: Annotated[Path, typer.Argument()]
     """Folder of the recording; must not exist, or be empty."""
     bodies: Annotated[

@@ -54,8 +54,6 @@ Outcome = TypeVar("Outcome")
 
 @dataclass(frozen=True, slots=True)
 class BenchmarkOptions:
-    """Options of `stonefall benchmark`."""
-
     accuracy: bool = False
     """Measure distances to true surfaces instead of times."""
     paper: bool = False
