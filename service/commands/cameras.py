@@ -48,11 +48,8 @@ def command(options: CamerasOptions) -> None:
         for each in found:
             model = f"{each.vendor} {each.model} {each.version}"
             cells = (each.address, each.serial, each.user_name, model, each.mac)
-            table.add_row(
-                *map(Text, cells)
-            )  # as text: rich would print the :cd: of a MAC as a picture of a disc
+            table.add_row(*map(Text, cells))  # rich would print the :cd: of a MAC as a picture of a disc
         Console().print(table)
     else:
-        typer.echo(
-            f"No camera answers on the networks of {', '.join(options.interface or local_addresses())}."
-        )
+        networks = ", ".join(options.interface or local_addresses())
+        typer.echo(f"No camera answers on the networks of {networks}.")

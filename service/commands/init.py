@@ -3,7 +3,7 @@
 import csv
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -141,23 +141,23 @@ def check_config_command(
         if as_json:
             typer.echo(json.dumps({"settings": None, "problems": [str(err)], "warnings": []}, indent=2))
         raise
-    document = settings.model_dump(mode="json")
     wrong = _wrong(settings)
     doubtful = list(rig_warnings(settings.rig))
     if as_json:
-        said = {"settings": document, "problems": wrong, "warnings": doubtful}
+        said = {"settings": settings.model_dump(mode="json"), "problems": wrong, "warnings": doubtful}
         typer.echo(json.dumps({"url": settings.api.local_url, **said}, indent=2))
     else:
-        typer.echo("\n".join(_sections(document, settings.model_dump(mode="json", exclude_none=True))))
+        typer.echo("\n".join(_sections(settings)))
         for problem in [*wrong, *(f"warning: {each}" for each in doubtful)]:
             typer.echo(f"stonefall: {file}: {problem}", err=True)
     if wrong:
         raise typer.Exit(1)
 
 
-def _sections(document: Mapping[str, Mapping[str, Any] | None], known: Mapping[str, Any]) -> Iterator[str]:
+def _sections(settings: Settings) -> Iterator[str]:
     """Yield each section as TOML that can be read again; settings without a value are comments below its header."""
-    for name, values in document.items():
+    known = settings.model_dump(mode="json", exclude_none=True)
+    for name, values in settings.model_dump(mode="json").items():
         if values is None:
             yield f"# [{name}] is not set\n"
             continue
