@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.gradation.indices import EN_933_3, MAX_CUBICAL, SHAPE_RANGE_MM
 from pipeline.measuring.shape import ZinggClass
@@ -46,28 +46,22 @@ SdPercent = Annotated[
 class ParticleFilter(BaseModel):
     """Conditions on the results to list; None is no condition."""
 
-    outcome: Annotated[
-        Literal["measured", "rejected", "lost"] | None,
-        Field(description="Only with this outcome"),
-        If("outcome = ?"),
-    ] = None
-    quality: Annotated[
-        Literal["good", "reduced", "degraded"] | None,
-        Field(description="Only of this quality"),
-        If("quality = ?"),
-    ] = None
-    kind: Annotated[
-        Literal["particle", "ball"] | None, Field(description="Only of this kind"), If("kind = ?")
-    ] = None
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    outcome: Annotated[Literal["measured", "rejected", "lost"] | None, If("outcome = ?")] = None
+    """Only with this outcome"""
+    quality: Annotated[Literal["good", "reduced", "degraded"] | None, If("quality = ?")] = None
+    """Only of this quality"""
+    kind: Annotated[Literal["particle", "ball"] | None, If("kind = ?")] = None
+    """Only of this kind"""
     min_sieve_size_mm: Annotated[SizeMm, If("sieve_size_mm >= ?")] = None
     max_sieve_size_mm: Annotated[SizeMm, If("sieve_size_mm <= ?")] = None
-    since: Annotated[
-        GivenTime | None, Field(description="Captured at or after, RFC 3339"), If("captured_at >= ?")
-    ] = None
-    until: Annotated[
-        GivenTime | None, Field(description="Captured before, RFC 3339"), If("captured_at < ?")
-    ] = None
-    lot: Annotated[str | None, Field(max_length=64, description="In this lot now"), If("lot = ?")] = None
+    since: Annotated[GivenTime | None, If("captured_at >= ?")] = None
+    """Captured at or after, RFC 3339"""
+    until: Annotated[GivenTime | None, If("captured_at < ?")] = None
+    """Captured before, RFC 3339"""
+    lot: Annotated[str | None, Field(max_length=64), If("lot = ?")] = None
+    """In this lot now"""
     has_frames: Annotated[
         bool | None,
         Field(
@@ -76,36 +70,22 @@ class ParticleFilter(BaseModel):
         ),
         If("(seq >= (SELECT first_raw FROM store) OR seq IN (SELECT seq FROM pins)) = ?"),
     ] = None
-    zingg_class: Annotated[
-        ZinggClass | None, Field(description="Only of this form"), if_stone("zingg_class = ?")
-    ] = None
-    is_flaky: Annotated[
-        bool | None,
-        Field(description="Whether it passes the slot of its fraction (EN 933-3); from 4 to 100 mm"),
-        if_stone(f"{FLAKY} = ?"),
-    ] = None
-    is_non_cubical: Annotated[
-        bool | None,
-        Field(description="Whether it is longer than three times its thickness (EN 933-4); from 4 to 63 mm"),
-        if_stone(f"{NON_CUBICAL} = ?"),
-    ] = None
+    zingg_class: Annotated[ZinggClass | None, if_stone("zingg_class = ?")] = None
+    """Only of this form"""
+    is_flaky: Annotated[bool | None, if_stone(f"{FLAKY} = ?")] = None
+    """Whether it passes the slot of its fraction (EN 933-3); from 4 to 100 mm"""
+    is_non_cubical: Annotated[bool | None, if_stone(f"{NON_CUBICAL} = ?")] = None
+    """Whether it is longer than three times its thickness (EN 933-4); from 4 to 63 mm"""
     min_volume_sd_percent: Annotated[SdPercent, if_stone("volume_sd_percent >= ?")] = None
     max_volume_sd_percent: Annotated[SdPercent, if_stone("volume_sd_percent <= ?")] = None
     quality_cause: Annotated[
-        QualityCause | None,
-        Field(description="Only with this among the causes of its quality"),
-        if_stone("? IN (SELECT value FROM json_each(quality_causes))"),
+        QualityCause | None, if_stone("? IN (SELECT value FROM json_each(quality_causes))")
     ] = None
-    algorithm_version: Annotated[
-        str | None,
-        Field(max_length=16, description="Only measured by this version of the algorithm"),
-        if_stone("algorithm_version = ?"),
-    ] = None
-    body: Annotated[
-        Literal["photo", "estimate", "hull"] | None,
-        Field(description="Only with this body"),
-        if_stone("body = ?"),
-    ] = None
+    """Only with this among the causes of its quality"""
+    algorithm_version: Annotated[str | None, Field(max_length=16), if_stone("algorithm_version = ?")] = None
+    """Only measured by this version of the algorithm"""
+    body: Annotated[Literal["photo", "estimate", "hull"] | None, if_stone("body = ?")] = None
+    """Only with this body"""
 
 
 def conditions_of(wanted: ParticleFilter) -> Iterator[tuple[str, str | float | None]]:
