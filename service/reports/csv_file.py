@@ -1,14 +1,13 @@
 """The report as one CSV table (RFC 4180) in the words of REST: one figure a row, the same in every language."""
 
-import csv
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from io import StringIO
 
 from pipeline.gradation.d4791 import FlatAndElongated
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.indices import INDICES
 from pipeline.gradation.specification import Decision
+from service.base.csv_text import csv_text
 from service.lots.figures import LotFigures, decision_on, shares_of, unit_of
 from service.reports.report import ReportData, Scalar
 from service.reports.words import plain
@@ -24,7 +23,6 @@ UNCERTAINTY = (
 )
 DECIDED = ("limit_min", "limit_max", "verdict", "more_stones", "more_s")
 COLUMNS = ("section", "name", "sieve_mm", "value", "unit", *UNCERTAINTY, "state", *DECIDED)
-FORMULA_STARTS = ("=", "+", "-", "@", "＝", "＋", "－", "＠")  # spreadsheets read the wide ones alike
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,24 +40,14 @@ class Row:
 
 def render_csv(data: ReportData) -> bytes:
     """Return the report as CSV: UTF-8, commas, decimal points, empty where there is no value."""
-    file = StringIO(newline="")
-    writer = csv.writer(file, lineterminator="\r\n")
-    writer.writerow(COLUMNS)
-    writer.writerows([cell(value) for value in _values(row)] for row in _rows(data))
-    return file.getvalue().encode("utf-8", "replace")
+    rows = ([_cell(value) for value in _values(row)] for row in _rows(data))
+    return csv_text([COLUMNS, *rows]).encode("utf-8", "replace")
 
 
-def cell(value: Scalar) -> str:
-    """Return a cell; a text that a spreadsheet would compute has an apostrophe before it."""
-    match value:
-        case None:
-            return ""
-        case bool():
-            return "true" if value else "false"
-        case int() | float():
-            return repr(value)
-    text = plain(value)
-    return f"'{text}" if text.lstrip().startswith(FORMULA_STARTS) else text
+def _cell(value: Scalar) -> Scalar:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return plain(value) if isinstance(value, str) else value
 
 
 def _values(row: Row) -> tuple[Scalar, ...]:

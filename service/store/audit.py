@@ -5,7 +5,6 @@ are a chain: an entry that was edited or removed breaks it. Each digest is kept 
 so that a chain that was made anew, or has lost its end, shows beside what it was.
 """
 
-import csv
 import hashlib
 import json
 import os
@@ -13,11 +12,11 @@ import re
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from drivers.files.times import utc_now
+from service.base.csv_text import csv_text
 from service.base.redaction import redacted
 from service.base.schema import ANSWER, Time
 
@@ -31,8 +30,6 @@ LINE = re.compile(rb"([0-9a-f]{64})\n")
 LINE_BYTES = 65
 N_NEWEST = 1000
 """Newest digests that are compared at each start."""
-FORMULA_STARTS = ("=", "+", "-", "@")
-"""What a spreadsheet would compute has an apostrophe before it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -193,13 +190,9 @@ def csv_page(
     connection: sqlite3.Connection, subject: str | None, after: int, limit: int
 ) -> tuple[bytes, int | None]:
     """Return up to `limit` entries as lines of CSV (RFC 4180), and the number of the last; None if there is no more."""
-    file = StringIO(newline="")
-    writer = csv.writer(file, lineterminator="\r\n")
-    if after == 0:
-        writer.writerow(COLUMNS)
     rows = list(_rows(connection, subject, after, limit))
-    writer.writerows([_cell(value) for value in row] for row in rows)
-    return file.getvalue().encode(), rows[-1][0] if len(rows) == limit else None
+    head = [COLUMNS] if after == 0 else []
+    return csv_text([*head, *rows]).encode(), rows[-1][0] if len(rows) == limit else None
 
 
 def _rows(
@@ -214,11 +207,6 @@ def _rows(
 
 def _text(facts: Mapping[str, Any] | None) -> str | None:
     return None if facts is None else json.dumps(facts)
-
-
-def _cell(value: Any) -> Any:
-    is_formula = isinstance(value, str) and value.lstrip().startswith(FORMULA_STARTS)
-    return f"'{value}" if is_formula else value
 
 
 def _redacted(columns: list[Any]) -> tuple[Any, ...]:

@@ -234,14 +234,14 @@ async def test_the_export_is_whole_in_order_and_can_be_checked(
     assert (await client.get("/audit.csv")).text == f"{','.join(COLUMNS)}\r\n"
     n = PAGE + 2
     for number in range(n):
-        await store.write(note, "key mes", "lot opened", "=L", after={"remark": f'"{number}", ö\r\n'})
+        await store.write(note, "key mes", "lot opened", "＝L", after={"remark": f'"{number}", ö\r\n'})
     answer = await client.get("/audit.csv")
     assert answer.headers["Content-Type"].startswith("text/csv")
     rows = list(csv.reader(StringIO(answer.text, newline="")))
     assert (tuple(rows[0]), len(rows)) == (COLUMNS, n + 1)
     digest = ""
     for number, (entry, at, who, action, subject, before, after, kept) in enumerate(rows[1:], start=1):
-        assert (int(entry), before, subject) == (number, "", "'=L")  # no spreadsheet computes it
+        assert (int(entry), before, subject) == (number, "", "'＝L")  # no spreadsheet computes it
         row = [number, at, who, action, subject[1:], None, after]
         text = digest + json.dumps(row, ensure_ascii=False)
         digest = hashlib.sha256(text.encode()).hexdigest()
