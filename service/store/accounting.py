@@ -71,28 +71,20 @@ def accounting(connection: sqlite3.Connection, session: int | None = None) -> Ac
     Triggers are counted where they were recorded and outcomes where they are served, so the balance is a check.
     """
     condition, given = ("TRUE", ()) if session is None else ("session = ?", (session,))
-    states = Counter(
-        dict(
-            connection.execute(
-                f"SELECT state, sum(n) FROM triggers WHERE {condition} GROUP BY state",  # noqa: S608 - one of two above
-                given,
-            )
-        )
-    )
+    triggers = f"SELECT state, sum(n) FROM triggers WHERE {condition} GROUP BY state"  # noqa: S608 - one of two above
+    states = Counter(dict(connection.execute(triggers, given)))
     removed = _counted(connection, "removed_results", condition, *given)
+    counted = _counted(connection, "listed", condition, *given) + removed
     by_outcome, by_reason, by_quality = Counter[str](), Counter[str](), Counter[str]()
-    for (outcome, reason, quality), n in (
-        _counted(connection, "listed", condition, *given) + removed
-    ).items():
+    for (outcome, reason, quality), n in counted.items():
         by_outcome[outcome] += n
         if outcome == Outcome.MEASURED:
             by_quality[quality] += n
         else:
             by_reason[reason] += n
     return Accounting(
-        triggers=states.total()
-        - states["background"]
-        + removed.total(),  # whose rows went with their results
+        # the rows of removed ones went with their results
+        triggers=states.total() - states["background"] + removed.total(),
         measured=by_outcome[Outcome.MEASURED],
         rejected=by_outcome[Outcome.REJECTED],
         lost=by_outcome[Outcome.LOST],

@@ -11,6 +11,7 @@ from typing import Any
 from drivers.files.times import utc_now
 from service.base.errors import ProblemError, ProblemKind
 from service.base.schema import ANSWER, Time
+from service.store.schema import rows_by_name
 
 NEW_HISTORY_STEP = 1_000_000
 """By which numbers go on in a history that begins anew: more events than a backup can lack."""
@@ -109,8 +110,5 @@ def events_after(
         " AND (?2 IS NULL OR type IN (SELECT value FROM json_each(?2))) ORDER BY seq LIMIT ?3",
         (after, types and json.dumps(types), limit),
     )
-    items = [
-        {"seq": number, "at": at, "type": kind, "subject": subject, "data": json.loads(data)}
-        for number, at, kind, subject, data in rows
-    ]
+    items = [row | {"data": json.loads(row["data"])} for row in rows_by_name(rows)]
     return HistoryPage(first_seq=first_seq, last_seq=last_seq, items=items)

@@ -16,6 +16,7 @@ from service.base.errors import TooManyError
 from service.base.schema import ANSWER, Time, adds_to
 from service.store import audit
 from service.store.events import CursorError
+from service.store.schema import rows_by_name
 
 STEP = 20
 """Results whose files, or rows, are removed at a time."""
@@ -232,15 +233,10 @@ def park(connection: sqlite3.Connection, name: str, after: int) -> ConsumerDocum
 def consumers(connection: sqlite3.Connection) -> list[ConsumerDocument]:
     """Return all consumers, by name."""
     rows = connection.execute(
-        "SELECT name, after_seq, moved_at, last_seq - after_seq, after_seq < first_seq - 1"
-        " FROM consumers, store ORDER BY name"
+        "SELECT name, after_seq AS after, moved_at, last_seq - after_seq AS unread,"
+        " after_seq < first_seq - 1 AS is_overrun FROM consumers, store ORDER BY name"
     )
-    return [
-        ConsumerDocument(
-            name=name, after=after, moved_at=moved_at, unread=unread, is_overrun=bool(is_overrun)
-        )
-        for name, after, moved_at, unread, is_overrun in rows
-    ]
+    return [ConsumerDocument(**row | {"is_overrun": bool(row["is_overrun"])}) for row in rows_by_name(rows)]
 
 
 def forget(connection: sqlite3.Connection, name: str, who: str) -> bool:

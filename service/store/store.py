@@ -147,7 +147,7 @@ class Store:
 
     async def forget_gate_count(self, session: int) -> None:
         """Record that nothing is missed of what the gate counts from now on, as it was disarmed."""
-        await self.write_soon(writes.forget_gate_count, session)
+        await self.write_soon(writes.note_gate_count, session, None)
 
     async def note_change(
         self,

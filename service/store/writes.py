@@ -30,7 +30,7 @@ from service.store.particle_files import (
     revision_folder,
 )
 from service.store.reads import particle
-from service.store.schema import transaction
+from service.store.schema import rows_by_name, transaction
 
 IS_REPLAY = (
     "coalesce(json_extract(info, '$.is_replay'), json_extract(info, '$.recording') IS NOT NULL"
@@ -104,20 +104,19 @@ def record_triggers(
     for bundle, trigger in triggers.items():
         _record(connection, session, bundle, trigger.sequence, trigger.kind, trigger.utc, trigger.n_stones)
     if gate_count is not None:
-        _note_gate_count(connection, session, asdict(gate_count))
+        note_gate_count(connection, session, gate_count)
 
 
-def forget_gate_count(connection: sqlite3.Connection, session: int) -> None:
-    """Record that nothing is missed of what the gate counts from now on."""
-    _note_gate_count(connection, session, None)
+def note_gate_count(connection: sqlite3.Connection, session: int, count: GateCount | None) -> None:
+    """Note the gate's count with the newest trigger, as `gate_count` in the `info` of the session.
 
-
-def _note_gate_count(connection: sqlite3.Connection, session: int, count: Mapping[str, Any] | None) -> None:
-    """Note the gate's count with the newest trigger, as `gate_count` in the `info` of the session."""
+    None: nothing is missed of what the gate counts from now on.
+    """
     (newest,) = connection.execute("SELECT max(trigger) FROM triggers").fetchone()
+    noted = None if count is None else {**asdict(count), "trigger": newest}
     connection.execute(
         "UPDATE sessions SET info = json_set(info, '$.gate_count', json(?)) WHERE session = ?",
-        (json.dumps(count and {**count, "trigger": newest}), session),
+        (json.dumps(noted), session),
     )
 
 
@@ -242,11 +241,12 @@ def _end(
     record: Result,
     files: Mapping[str, Path],
 ) -> int:
-    session, bundle, sequence, kind, captured_at, n_stones, is_replay = connection.execute(
-        f"SELECT session, bundle, sequence, kind, captured_at, n, {IS_REPLAY}"  # noqa: S608 - a constant
-        " FROM triggers JOIN sessions USING (session) WHERE trigger = ?",
+    rows = connection.execute(
+        "SELECT session, bundle, sequence, kind, n AS n_stones, captured_at,"  # noqa: S608 - a constant
+        f" {IS_REPLAY} AS is_replay FROM triggers JOIN sessions USING (session) WHERE trigger = ?",
         (trigger,),
-    ).fetchone()
+    )
+    (fall,) = rows_by_name(rows)
     seq, instance_id = connection.execute(
         "UPDATE store SET last_seq = last_seq + 1 RETURNING last_seq, instance_id"
     ).fetchone()
@@ -254,23 +254,12 @@ def _end(
     recorded_at = utc_now()
     folder = particle_folder(name, recorded_at)
     kept = keep_files(particles_dir / folder, files)
-    identity = {
-        "seq": seq,
-        "id": name,
-        "revision": 1,
-        "revises": None,
-        "session": session,
-        "bundle": bundle,
-        "sequence": sequence,
-        "kind": kind,
-        "n_stones": n_stones,
-        "captured_at": captured_at,
-        "recorded_at": recorded_at,
-        "is_replay": bool(is_replay),
-    }
+    is_replay = bool(fall.pop("is_replay"))
+    identity = {"seq": seq, "id": name, "revision": 1, "revises": None, **fall}
+    identity |= {"recorded_at": recorded_at, "is_replay": is_replay}
     connection.execute(
         "INSERT INTO results (seq, id, trigger, session, record) VALUES (?, ?, ?, ?, ?)",
-        (seq, name, trigger, session, _durable(record, identity, kept, name)),
+        (seq, name, trigger, fall["session"], _durable(record, identity, kept, name)),
     )
     indexed_fields.index_results(connection, "seq = ?", seq)
     if record.outcome != Outcome.LOST:
