@@ -31,6 +31,15 @@ Live = Annotated[T, LIVE]
 """A setting that applies when the file is read again; others are built into devices, workers, store or sockets."""
 
 
+def require_ranges(settings: object, **ranges: tuple[float, float]) -> None:
+    """Raise `ValueError` when a setting is below or above its range."""
+    for name, (low, high) in ranges.items():
+        value = getattr(settings, name)
+        if not low <= value <= high:
+            shown = value if isinstance(value, int) else f"{value:g}"
+            raise ValueError(f"{name} must be in {low:g}..{high:g}, not {shown}")
+
+
 class RequestBody(BaseModel):
     """Body of a request, in which other fields than its own are errors."""
 

@@ -19,6 +19,7 @@ from pipeline.fall import FALL_HEIGHT_MM, Fall, fall_time_ms, speed_mm_s
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.base.configured_paths import ConfiguredPath, resolve_path
+from service.base.schema import require_ranges
 from service.bundling.parameters import BundlingParameters
 
 PortGate = TypeVar("PortGate", SerialGateSettings, ModemLineSettings)
@@ -161,10 +162,3 @@ class LiveRigSettings(ABC):
 
     def _document(self) -> dict[str, Any]:
         return dict(TypeAdapter(type(self)).dump_python(self, mode="json"))
-
-
-def require_ranges(settings: LiveRigSettings, **ranges: tuple[float, float]) -> None:
-    """Raise `ValueError` when a setting is below or above its range."""
-    for name, (low, high) in ranges.items():
-        if not low <= getattr(settings, name) <= high:
-            raise ValueError(f"{name} must be in {low:g}..{high:g}, not {getattr(settings, name):g}")

@@ -21,8 +21,9 @@ from drivers.files.recording import RecordingSource
 from pipeline.fall import Fall
 from pipeline.rig.cameras import RigCalibration
 from service.base.configured_paths import ConfiguredPath
+from service.base.schema import require_ranges
 from service.bundling.parameters import BundlingParameters
-from service.configuration.live_rig import LiveRigSettings, Place, require_ranges
+from service.configuration.live_rig import LiveRigSettings, Place
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,8 +38,7 @@ class ReplayRigSettings:
     calibration: ConfiguredPath | None = None  # rig file; default: the recording's own
 
     def __post_init__(self) -> None:
-        if not 0.01 <= self.speed <= 100:
-            raise ValueError(f"speed must be in 0.01..100, not {self.speed:g}")
+        require_ranges(self, speed=(0.01, 100))
         if self.pace == "fast" and self.speed != 1.0:
             raise ValueError('speed scales the recorded pace and means nothing with pace = "fast"')
 

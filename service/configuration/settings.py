@@ -22,7 +22,7 @@ from pipeline.views.quality import ViewsParameters
 from service.acquisition.empty_rig import EmptyRigParameters
 from service.base.configured_paths import ConfiguredPath
 from service.base.errors import SettingsError, StoreError, VolumeModelError
-from service.base.schema import Live
+from service.base.schema import Live, require_ranges
 from service.bundling.parameters import BundlingParameters
 from service.calibration.verification_limits import VerificationParameters
 from service.configuration.rig_checks import rig_problems
@@ -52,10 +52,7 @@ class WorkersSettings:
     deadline_s: float = 20.0
 
     def __post_init__(self) -> None:
-        if not 1 <= self.slots <= 256:
-            raise ValueError(f"slots must be in 1..256, not {self.slots}")
-        if not 0.1 <= self.deadline_s <= 600:
-            raise ValueError(f"deadline_s must be in 0.1..600, not {self.deadline_s:g}")
+        require_ranges(self, slots=(1, 256), deadline_s=(0.1, 600))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,10 +82,7 @@ class StoreSettings:
     def __post_init__(self) -> None:
         if self.keep_raw < 0:
             raise ValueError(f"keep_raw must not be negative, not {self.keep_raw}")
-        if not 0 <= self.backup_every_h <= 8760:
-            raise ValueError(f"backup_every_h must be in 0..8760, not {self.backup_every_h:g}")
-        if not 1 <= self.keep_backups <= 1000:
-            raise ValueError(f"keep_backups must be in 1..1000, not {self.keep_backups}")
+        require_ranges(self, backup_every_h=(0, 8760), keep_backups=(1, 1000))
 
 
 class Settings(BaseModel):
@@ -121,15 +115,9 @@ class Settings(BaseModel):
     @property
     def pipeline(self) -> PipelineParameters:
         """Return the parameters of the pipeline; raise `VolumeModelError` when the volume model is unusable."""
-        return PipelineParameters(
-            **{
-                part.name: getattr(self, part.name)
-                for part in fields(PipelineParameters)
-                if part.name not in ("segmentation", "measuring")
-            },
-            segmentation=self.segmentation.parameters,
-            measuring=self.measuring.parameters,
-        )
+        given = {part.name: getattr(self, part.name) for part in fields(PipelineParameters)}
+        given |= {name: given[name].parameters for name in ("segmentation", "measuring")}
+        return PipelineParameters(**given)
 
 
 def load_settings(path: Path) -> Settings:

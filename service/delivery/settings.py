@@ -18,6 +18,7 @@ from drivers.files.bounded import read_bounded
 from service.base.addresses import address_of, is_host
 from service.base.configured_paths import ConfiguredPath
 from service.base.language import Language
+from service.base.schema import require_ranges
 from service.store.events import EventType
 
 PRIVATE_NETWORKS = ("10.0.0.0/8", "172.16.0.0/12", "192.168.0.0/16", "fc00::/7")
@@ -125,8 +126,7 @@ class WebhooksSettings:
                 ip_network(network)
             except ValueError as err:
                 raise ValueError(f"allowed_networks: {err}") from None
-        if not 0.1 <= self.timeout_s <= 60:
-            raise ValueError(f"timeout_s must be in 0.1..60, not {self.timeout_s:g}")
+        require_ranges(self, timeout_s=(0.1, 60))
         if len(self.endpoints) > MAX_ENDPOINTS:
             raise ValueError(f"endpoints: {MAX_ENDPOINTS} at most, not {len(self.endpoints)}")
         names = [endpoint.name for endpoint in self.endpoints]

@@ -37,11 +37,7 @@ def assess(
     words = {word for name, word in rules.ne107.items() if name not in passing}
     if acquisition.state is AcquisitionState.HELD or failing - cameras or usable < views.min:
         ne107 = Ne107.FAILURE
-    elif (
-        usable < views.reduced
-        or Ne107.OUT_OF_SPECIFICATION in words
-        or rig_ne107 is Ne107.OUT_OF_SPECIFICATION
-    ):
+    elif usable < views.reduced or Ne107.OUT_OF_SPECIFICATION in (*words, rig_ne107):
         ne107 = Ne107.OUT_OF_SPECIFICATION
     elif not is_armed or Ne107.CHECK_FUNCTION in words:
         ne107 = Ne107.CHECK_FUNCTION

@@ -26,7 +26,7 @@ from drivers.files.recording import UNKNOWN_UTC, RecordingSource, RecordingWrite
 from pipeline.frames import BundleKind, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.base.errors import ProblemError, ProblemKind
-from service.base.schema import REQUEST
+from service.base.schema import REQUEST, require_ranges
 from service.base.status import Checks, trouble_check
 from service.recording.live_recording import EndedBy, LiveRecording, RecordingState, RecordingStatus
 
@@ -50,10 +50,7 @@ class RecordingsSettings:
     compression: Compression = "none"
 
     def __post_init__(self) -> None:
-        if not 0 <= self.pre_trigger <= 1000:
-            raise ValueError(f"pre_trigger must be in 0..1000, not {self.pre_trigger}")
-        if not 0 <= self.reserve_gb <= 100_000:
-            raise ValueError(f"reserve_gb must be in 0..100000, not {self.reserve_gb:g}")
+        require_ranges(self, pre_trigger=(0, 1000), reserve_gb=(0, 100_000))
 
     @property
     def reserve_bytes(self) -> int:

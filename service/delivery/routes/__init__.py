@@ -1,5 +1,0 @@
-"""Routes of webhooks."""
-
-from service.delivery.routes import webhooks
-
-ROUTERS = (webhooks.router,)
