@@ -27,7 +27,7 @@ from service.configuration.settings import Settings, load_settings, problems, sh
 from service.daemon.diagnostics.archive import build_archive
 from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
 from service.health.alarms.rules import load_rules
-from service.host.finding import Finding, HostVerdict, fault, good, judged, unknown
+from service.host.finding import Finding, HostVerdict, fault, judged, unknown
 from service.host.host import ROOT, Host, host_at
 from service.host.machine import check_host
 from service.store.schema import is_locked
@@ -165,7 +165,8 @@ def _configuration(file: Path, settings: Settings) -> Iterator[Finding]:
         remedy = f"edit {file}, then: stonefall check-config {file}"
         yield fault(field, found=text, wanted="nothing is wrong with it", remedy=remedy)
     if not wrong:
-        yield good(str(file), "nothing is wrong with it", "")
+        found = "nothing is wrong with it"
+        yield Finding(subject=str(file), verdict=HostVerdict.GOOD, found=found, wanted="")
 
 
 def _rig(settings: Settings, host: Host, daemon: DaemonClient, *, is_fired: bool) -> Iterator[Finding]:

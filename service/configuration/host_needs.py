@@ -7,7 +7,8 @@ from drivers.files.rig_file import read_rig
 from drivers.gates.gpio import GpioGateSettings
 from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings
 from service.configuration.settings import Settings
-from service.host.needs import CameraNetwork, HostNeeds
+from service.host.machine import HostNeeds
+from service.host.network import CameraNetwork
 
 BUNDLE_BYTES = 16 * 1280 * 1024
 """Size of a bundle while there is no rig file that tells."""

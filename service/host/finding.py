@@ -27,14 +27,9 @@ class Finding:
 
 def judged(subject: str, *, is_good: bool, found: str, wanted: str, remedy: str) -> Finding:
     """Return a finding that is good, or a fault with its remedy."""
-    return (
-        good(subject, found, wanted) if is_good else fault(subject, found=found, wanted=wanted, remedy=remedy)
-    )
-
-
-def good(subject: str, found: str, wanted: str) -> Finding:
-    """Return a finding of what is as it should be."""
-    return Finding(subject=subject, verdict=HostVerdict.GOOD, found=found, wanted=wanted)
+    if is_good:
+        return Finding(subject=subject, verdict=HostVerdict.GOOD, found=found, wanted=wanted)
+    return fault(subject, found=found, wanted=wanted, remedy=remedy)
 
 
 def fault(subject: str, *, found: str, wanted: str, remedy: str) -> Finding:

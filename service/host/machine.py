@@ -2,13 +2,15 @@
 
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from service.host.finding import Finding, fault, installed, judged, unknown
 from service.host.host import Host, Mount
-from service.host.needs import HostNeeds
-from service.host.network import check_network
+from service.host.network import CameraNetwork, check_network
 
+DAEMON_BYTES, WORKER_BYTES, CALIBRATION_BYTES = 800 << 20, 400 << 20, 500 << 20
+"""Memory of the daemon and of a worker, measured, and of a calibration that is solved, reckoned."""
 FILES = 4096
 """Open files and connections: cameras, workers, and what REST admits; as the unit sets it."""
 KERNEL_NAME = re.compile(r"/dev/tty(USB|ACM)\d+")
@@ -26,6 +28,24 @@ CHRONY = "apt-get install chrony && " + installed(
 JOURNAL = installed(
     "50-stonefall-journald.conf", "/etc/systemd/journald.conf.d", "systemctl restart systemd-journald"
 )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HostNeeds:
+    """Needs that are checked on the host."""
+
+    network: CameraNetwork | None  # None: a recording is replayed
+    gate: Path | None  # device of the light gate; None: a recording is replayed
+    spool_dir: Path
+    spool_bytes: int  # of all bundles that may wait
+    store_dir: Path
+    min_free_bytes: int  # of the disk, below which files are removed
+    workers: int
+
+    @property
+    def memory_bytes(self) -> int:
+        """Memory of all processes, the spool on tmpfs included."""
+        return DAEMON_BYTES + self.workers * WORKER_BYTES + CALIBRATION_BYTES + self.spool_bytes
 
 
 def check_host(host: Host, needs: HostNeeds) -> list[Finding]:

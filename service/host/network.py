@@ -1,10 +1,10 @@
 """Checks of the way from the cameras to this machine: buffers, packets, links, receive rings, interrupts."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from service.host.finding import Finding, fault, installed, judged, unknown
 from service.host.host import Host
-from service.host.needs import CameraNetwork
 
 BACKLOG = 10_000
 """Packets that a port of 10 Gb/s may hand over at one interrupt."""
@@ -20,6 +20,16 @@ LINK = installed(
 PORTS = installed(
     "50-stonefall-cameras.network", NETWORKS, "editor /etc/systemd/network/50-stonefall-cameras.network"
 )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraNetwork:
+    """The network of the cameras."""
+
+    addresses: tuple[str, ...]  # of this machine towards them, or else theirs
+    receive_buffer_bytes: int
+    packet_bytes: int
+    uplink_bytes_s: float
 
 
 def check_network(host: Host, network: CameraNetwork) -> Iterator[Finding]:

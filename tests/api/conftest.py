@@ -15,7 +15,7 @@ from service.daemon.diagnostics.inputs import Inputs, Secrets
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 from service.delivery.webhooks import Webhooks, open_webhooks
 from service.health.alarms.alarms import Alarms, open_alarms
-from service.host.needs import HostNeeds
+from service.host.machine import HostNeeds
 from service.recording.recordings import Recordings, RecordingsSettings
 from service.store import Store
 from service.store.event_log import EventLog

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from service.host.needs import HostNeeds
+from service.host.machine import HostNeeds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 from service.commands.cli import build_app
 from service.host.finding import Finding, HostVerdict
 from service.host.host import Host, Ring, host_at
-from service.host.machine import check_host
-from service.host.needs import CameraNetwork, HostNeeds
+from service.host.machine import HostNeeds, check_host
+from service.host.network import CameraNetwork
 
 ROOT = Path(__file__).parents[4]
 NETWORK = CameraNetwork(
