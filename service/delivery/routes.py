@@ -90,3 +90,6 @@ async def test_webhook(context: Context, name: Name, asking: Who) -> Attempt:
     """
     context.store.require_writable()
     return await context.part(Webhooks).test(name, asking)
+
+
+ROUTERS = (router,)

@@ -99,8 +99,7 @@ def deliveries(connection: sqlite3.Connection, name: str, limit: int) -> list[At
 
 def enable(connection: sqlite3.Connection, name: str, who: str) -> None:
     """Try an endpoint again at once, whether it was disabled or waits."""
-    before = progress_of(connection, name)
-    _change(connection, name, who, "webhook enabled", before, enabled(before))
+    _change(connection, name, who, "webhook enabled", enabled(progress_of(connection, name)))
 
 
 def replay(connection: sqlite3.Connection, name: str, after: int, who: str) -> None:
@@ -109,8 +108,7 @@ def replay(connection: sqlite3.Connection, name: str, after: int, who: str) -> N
     if not first_seq - 1 <= after <= last_seq:
         problem = f"events {first_seq} to {last_seq} are kept: nothing can be told again after {after}"
         raise CursorError(problem, after, first_seq, last_seq)
-    before = progress_of(connection, name)
-    _change(connection, name, who, "webhook replayed", before, replayed(before, after))
+    _change(connection, name, who, "webhook replayed", replayed(progress_of(connection, name), after))
 
 
 def _add(connection: sqlite3.Connection, name: str, delivery: Attempt) -> None:
@@ -124,16 +122,9 @@ def _add(connection: sqlite3.Connection, name: str, delivery: Attempt) -> None:
     )
 
 
-def _change(
-    connection: sqlite3.Connection,
-    name: str,
-    who: str,
-    action: str,
-    before: EndpointProgress,
-    after: EndpointProgress,
-) -> None:
-    _keep(connection, name, after)
-    audit.note(connection, who, action, name, before=asdict(before), after=asdict(after))
+def _change(connection: sqlite3.Connection, name: str, who: str, action: str, to: EndpointProgress) -> None:
+    audit.note(connection, who, action, name, before=asdict(progress_of(connection, name)), after=asdict(to))
+    _keep(connection, name, to)
 
 
 def _keep(connection: sqlite3.Connection, name: str, progress: EndpointProgress) -> None:
