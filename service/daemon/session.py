@@ -19,6 +19,7 @@ from service.results.version import ALGORITHM_VERSION
 from service.store import Store
 from service.store.event_log import EventLog
 from service.store.reads import open_triggers
+from service.store.writes import lose_open
 
 log = logging.getLogger(__name__)
 
@@ -104,8 +105,8 @@ async def lose_all_crashed(store: Store, left: Sequence[LeftBundle]) -> None:
 
 async def _lose_crashed(store: Store, left: Sequence[LeftBundle]) -> int:
     """Record a step of what a killed daemon did not measure, but what is `left`, as lost; return of how many stones."""
-    return await store.lose_open(
-        LossReason.CRASH,
+    detail, but = (
         "the daemon ended before this bundle was measured",
-        but={(bundle.session, bundle.name) for bundle in left},
+        {(each.session, each.name) for each in left},
     )
+    return await store.write(lose_open, store.particles_dir, store.session, LossReason.CRASH, detail, but)

@@ -44,7 +44,10 @@ def back_up(state_dir: Path, target: Path, go_on: Callable[[], bool] = lambda: T
     path = state_dir / history.DATABASE
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        _require_room(path, target)
+        needed_bytes, free_bytes = path.stat().st_size + ROOM_BYTES, shutil.disk_usage(target.parent).free
+        if free_bytes < needed_bytes:
+            needed, free = (f"{n_bytes / 1e9:.1f} GB" for n_bytes in (needed_bytes, free_bytes))
+            raise StoreError(f"no backup of {path}: it needs {needed}, and {free} are free")
         with replacing(target) as unfinished:
             _copy(path, unfinished, go_on)
             if (damage := find_damage(unfinished, go_on)) is not None:
@@ -129,15 +132,6 @@ def _copy(path: Path, target: Path, go_on: Callable[[], bool]) -> None:
         source.execute("SELECT * FROM store")  # from here on it sees one state, whatever is written meanwhile
         source.backup(copy, pages=PAGES, progress=progress)
         copy.execute("PRAGMA journal_mode = DELETE")  # so that it is one file
-
-
-def _require_room(path: Path, target: Path) -> None:
-    needed_bytes = path.stat().st_size + ROOM_BYTES
-    free_bytes = shutil.disk_usage(target.parent).free
-    if free_bytes < needed_bytes:
-        raise StoreError(
-            f"no backup of {path}: it needs {needed_bytes / 1e9:.1f} GB, and {free_bytes / 1e9:.1f} GB are free"
-        )
 
 
 def _require_backup(source: Path, copy: Path) -> None:

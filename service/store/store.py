@@ -8,7 +8,7 @@ import asyncio
 import logging
 import os
 import sqlite3
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
@@ -19,7 +19,7 @@ from drivers.files.durable import sync
 from pipeline.frames import GateCount, Trigger
 from service.base import aside
 from service.base.errors import StoreError
-from service.results.fields import LossReason, Result
+from service.results.fields import Result
 from service.store import audit, backups, history, reads, writes
 from service.store.particle_files import RAW, drop_raw, drop_sources, path_of
 from service.store.schema import lock_store, read, reader_of, transaction
@@ -38,8 +38,6 @@ POLL_S = 0.05
 """Time between two looks at whether the disk refuses to write."""
 MAX_NOTES = 1000
 """Entries of the audit that wait for a disk that refuses to write; more are in the log alone."""
-MAX_LOST = 1000
-"""Triggers that are ended as lost in one transaction: results wait for it a tenth of a second at most."""
 READERS = 2
 """Queries at a time: those of a hundred clients do not slow down the measuring."""
 
@@ -77,7 +75,7 @@ class Store:
         self._lock = lock  # held until the process ends or `close`
         self._writer = writer
         self._committed = asyncio.Event()  # replaced at each commit
-        self._n_notes = 0  # entries of the audit that are not written yet
+        self._notes: set[asyncio.Future[None]] = set()  # entries of the audit that are not written yet
         self._n_digests = len(audit.kept_digests(state_dir))
         self._keep_raw = keep_raw
         self._readers = ThreadPoolExecutor(READERS, thread_name_prefix="store-reader")
@@ -166,15 +164,12 @@ class Store:
             return
         if self.trouble is not None:
             log.warning("the audit waits for the store: %s %s, by %s: %s", action, subject, who, after)
-            if self._n_notes >= MAX_NOTES:
+            if len(self._notes) >= MAX_NOTES:
                 return
-        self._n_notes += 1
         written = self.write_later(audit.note, who, action, subject, before=before, after=after)
-        written.add_done_callback(self._forget_note)
+        self._notes.add(written)
+        written.add_done_callback(self._notes.discard)
         await self._unless_held(written)
-
-    def _forget_note(self, _: "asyncio.Future[None]") -> None:
-        self._n_notes -= 1
 
     async def finish(
         self, session: int, bundle: str, record: Result, files: Mapping[str, Path] | None = None
@@ -189,19 +184,6 @@ class Store:
         if is_new:
             drop_sources(files)
         return seq
-
-    async def lose_open(
-        self,
-        reason: LossReason,
-        detail: str,
-        but: Collection[tuple[int, str]] = frozenset(),
-        most: int = MAX_LOST,
-    ) -> int:
-        """End as `lost` triggers that an earlier session left open, `but` some; return of how many stones.
-
-        These are the first `most` of them; nothing is left when it returns 0.
-        """
-        return await self.write(writes.lose_open, self.particles_dir, self.session, reason, detail, but, most)
 
     async def folder(self, seq: int) -> Path:
         """Return where the files of a result are, or would be; it need not exist."""
@@ -221,10 +203,7 @@ class Store:
     async def back_up(self, keep: int) -> Path:
         """Copy the database, check the copy and keep the newest `keep` of them; return the new one.
 
-        Raises
-        ------
-        StoreError
-            There is no room, or the database is damaged, for which the store is held from now on.
+        Raises `StoreError` if there is no room, or the database is damaged: then the store is held from now on.
         """
         target = backups.backup_path(self.dir)
         try:

@@ -41,6 +41,8 @@ KEPT = (
     "id", "session", "bundle", "sequence", "kind", "captured_at", "is_simulated", "is_replay", "verification"
 )  # fmt: skip
 """Fields of the stone and its fall, which measuring again does not change."""
+MAX_LOST = 1000
+"""Triggers that are ended as lost in one transaction: results wait for it a tenth of a second at most."""
 NOTE_EVERY = 100
 """Results between two notes in the database of how far raw frames were removed."""
 
@@ -157,12 +159,12 @@ def lose_open(
     live_session: int | None,
     reason: LossReason,
     detail: str,
-    but: Collection[tuple[int, str]],
-    most: int,
+    but: Collection[tuple[int, str]] = frozenset(),
+    most: int = MAX_LOST,
 ) -> int:
     """End as `lost` the first `most` open triggers of sessions other than `live_session`; return of how many stones.
 
-    `but` are left open, by session and bundle: they are measured yet.
+    Nothing is left when it returns 0. `but` are left open, by session and bundle: they are measured yet.
     """
     rows = connection.execute(
         "SELECT trigger, session, bundle, info, sequence, kind, captured_at, n"

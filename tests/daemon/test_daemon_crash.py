@@ -19,7 +19,7 @@ from support.small_recording import write_small_recording
 from drivers.files.recording import read_bundle
 from pipeline.frames import CameraId
 from service.store import open_store
-from service.store.store import MAX_LOST
+from service.store.writes import MAX_LOST
 
 LOOP = "loop = true\nspeed = 2.0"
 N_STONES = MOST_WAITING = 6

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.frames import BundleKind, Trigger
-from service.results.fields import Result
+from service.results.fields import LossReason, Result
 from service.results.record import result_of
-from service.store import Store
+from service.store import Store, writes
 
 
 def trigger(sequence: int, kind: BundleKind = BundleKind.PARTICLE) -> Trigger:
@@ -54,3 +54,8 @@ async def add(
     """Store a trigger and its outcome; return the `seq`."""
     await store.record_triggers(session, {f"{sequence:08d}": trigger(sequence)})
     return await store.finish(session, f"{sequence:08d}", record, files)
+
+
+async def lose_open(store: Store, reason: LossReason, detail: str, **which: Any) -> int:
+    """Lose the triggers that earlier sessions left open; return of how many stones."""
+    return await store.write(writes.lose_open, store.particles_dir, store.session, reason, detail, **which)

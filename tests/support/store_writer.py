@@ -5,7 +5,7 @@ import sys
 from itertools import count
 from pathlib import Path
 
-from support.outcomes import add, measured, trigger
+from support.outcomes import add, lose_open, measured, trigger
 
 from service.store import open_store
 
@@ -13,7 +13,7 @@ from service.store import open_store
 async def write(state_dir: Path) -> None:
     with open_store(state_dir) as store:
         session = await store.begin_session({})
-        await store.lose_open("shutdown", "the process was killed")
+        await lose_open(store, "shutdown", "the process was killed")
         for n in count():
             mesh = state_dir / "mesh.ply"
             mesh.write_bytes(b"mesh %d" % n)

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from support.outcomes import lose_open
 from support.store_process import run_until_killed
 from support.stores import folder_of
 
@@ -18,7 +19,7 @@ async def test_kill_9_loses_nothing_acknowledged(state_dir: Path) -> None:
     try:
         n_open = (await store.read(accounting)).in_progress
         assert n_open > 0
-        assert await store.lose_open("shutdown", "killed") == n_open
+        assert await lose_open(store, "shutdown", "killed") == n_open
         counts = await store.read(accounting)
         items = (await store.read(results_after, 0, 10_000)).items
     finally:

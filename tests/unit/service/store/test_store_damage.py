@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.eventually import PATIENCE_S
 from support.extents import examples, first_quick
-from support.outcomes import add, measured, rejected, trigger
+from support.outcomes import add, lose_open, measured, rejected, trigger
 
 from service.base.errors import StoreError
 from service.health.alarms.alarms import open_alarms
@@ -78,7 +78,7 @@ async def start_and_serve(state_dir: Path) -> list[str]:
         async with asyncio.timeout(PATIENCE_S):  # a store that is held waits
             session = await store.begin_session(INFO)
             await store.read(open_triggers, store.session, [])
-            await store.lose_open(LossReason.CRASH, "the daemon ended")
+            await lose_open(store, LossReason.CRASH, "the daemon ended")
             await store.read(gate_count)
             await open_alarms(store, EventLog(store))
             seq = await add(store, session, 1, measured())
@@ -216,7 +216,7 @@ async def test_a_write_that_meets_a_damaged_record_holds_the_store(state_dir: Pa
     with await asyncio.to_thread(open_store, state_dir) as store:
         await store.begin_session(INFO)
         do("UPDATE sessions SET info = 'torn' WHERE session = 1")(state_dir / "results.sqlite")
-        losing = asyncio.create_task(store.lose_open(LossReason.CRASH, ""))
+        losing = asyncio.create_task(lose_open(store, LossReason.CRASH, ""))
         async with asyncio.timeout(PATIENCE_S):
             while store.trouble is None:  # noqa: ASYNC110 - another thread makes it so
                 await asyncio.sleep(0.005)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from support.eventually import PATIENCE_S
-from support.outcomes import add, measured, rejected, result, trigger
+from support.outcomes import add, lose_open, measured, rejected, result, trigger
 from support.rest import particle_files
 from support.stores import folder_of
 
@@ -122,7 +122,7 @@ async def test_triggers_that_are_measured_yet_stay_open(state_dir: Path) -> None
         await store.record_triggers(new, {"a": trigger(1)})
         left = [(old, "a"), (old, "b"), (old, "gone"), (new, "a")]
         assert await store.read(open_triggers, store.session, left) == [(old, "b"), (old, "a")]
-        assert await store.lose_open("crash", "killed", but={(old, "a")}) == 2
+        assert await lose_open(store, "crash", "killed", but={(old, "a")}) == 2
         assert await store.read(open_triggers, store.session, left) == [(old, "a")]
         await store.finish(old, "a", measured())
         assert await store.read(open_triggers, store.session, left) == []
@@ -151,7 +151,7 @@ async def test_only_the_newest_raw_frames_are_kept(state_dir: Path, tmp_path: Pa
     with await asyncio.to_thread(open_store, state_dir, keep_raw=2) as store:
         new = await store.begin_session({})
         assert seqs_with_raw(state_dir) == [5, 6]
-        assert await store.lose_open("crash", "killed") == 1
+        assert await lose_open(store, "crash", "killed") == 1
         assert seqs_with_raw(state_dir) == [6]
         assert await add_raw(store, new, 7, tmp_path) == 8
         await add(store, new, 8, measured())
@@ -275,8 +275,8 @@ async def test_open_triggers_of_earlier_sessions_become_lost(state_dir: Path) ->
     with await asyncio.to_thread(open_store, state_dir) as store:
         new = await store.begin_session({"is_replay": True})
         await store.record_triggers(new, {"1": trigger(1)})  # has its life before it
-        assert await store.lose_open("worker_crash", "the daemon was killed") == 2
-        assert await store.lose_open("worker_crash", "") == 0
+        assert await lose_open(store, "worker_crash", "the daemon was killed") == 2
+        assert await lose_open(store, "worker_crash", "") == 0
         assert store.instance_id == instance_id
         items = (await store.read(results_after, 1, 10)).items
         assert [(item["seq"], item["bundle"], item["outcome"], item["reason"]) for item in items] == [
@@ -451,7 +451,7 @@ async def test_a_kill_before_its_outcome_loses_none_of_its_stones(state_dir: Pat
             count,
             MANY,
         )  # the gate's count from there on is known to be lost
-        assert await store.lose_open(LossReason.CRASH, "killed") == MANY + 1
+        assert await lose_open(store, LossReason.CRASH, "killed") == MANY + 1
         counts = await store.read(accounting)
     assert (counts.triggers, counts.lost, counts.by_reason) == (MANY + 1, MANY + 1, {"crash": MANY + 1})
 
@@ -461,7 +461,9 @@ async def test_open_triggers_are_lost_in_steps_of_which_each_is_whole(state_dir:
         old = await store.begin_session({})
         await store.record_triggers(old, {str(number): trigger(1) for number in range(9)})
         await store.begin_session({})
-        lost = [await store.lose_open("crash", "killed", but={(old, "1"), (old, "8")}, most=3) for _ in "123"]
+        lost = [
+            await lose_open(store, "crash", "killed", but={(old, "1"), (old, "8")}, most=3) for _ in "123"
+        ]
         assert lost == [3, 3, 1]
         items = (await store.read(results_after, 0, 10)).items
         assert [item["bundle"] for item in items] == ["0", "2", "3", "4", "5", "6", "7"]
