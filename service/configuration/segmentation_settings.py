@@ -51,11 +51,7 @@ def plan_segmenter(settings: SegmentationSettings) -> SegmenterPlan:
         return SegmenterPlan(wanted=settings.segmenter, trouble=str(err))
     built_in = onnxruntime.get_available_providers()
     lacking = [name for name in settings.providers if name not in built_in]
+    trouble = f"this onnxruntime has no {', '.join(lacking)}, but {', '.join(built_in)}" if lacking else None
     return SegmenterPlan(
-        wanted=settings.segmenter,
-        model=model,
-        providers=settings.providers,
-        provider_trouble=f"this onnxruntime has no {', '.join(lacking)}, but {', '.join(built_in)}"
-        if lacking
-        else None,
+        wanted=settings.segmenter, model=model, providers=settings.providers, provider_trouble=trouble
     )

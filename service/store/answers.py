@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from drivers.files.times import utc_ago, utc_now
+from service.store.schema import rows_by_name
 
 KEPT_NS = 24 * 3600 * 10**9
 """For at least this time an answer is kept."""
@@ -33,13 +34,11 @@ def keep_answer(connection: sqlite3.Connection, who: str, key: str, answer: Answ
 
 def find_answer(connection: sqlite3.Connection, who: str, key: str) -> Answer | None:
     """Return the answer to the request that had this key, None if there is none."""
-    row = connection.execute(
+    rows = connection.execute(
         "SELECT request, status, headers, body FROM answers WHERE who = ? AND key = ?", (who, key)
-    ).fetchone()
-    if row is None:
-        return None
-    request, status, headers, body = row
-    return Answer(request=request, status=status, headers=json.loads(headers), body=body)
+    )
+    answers = (Answer(**row | {"headers": json.loads(row["headers"])}) for row in rows_by_name(rows))
+    return next(answers, None)
 
 
 def n_answers(connection: sqlite3.Connection, who: str) -> int:

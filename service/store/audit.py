@@ -121,9 +121,9 @@ def keep_digests(connection: sqlite3.Connection, folder: Path, n_kept: int) -> i
     return int(rows[-1][0])
 
 
-def has_kept(connection: sqlite3.Connection, kept: Sequence[str], n_newest: int = N_NEWEST) -> bool:
+def has_kept(connection: sqlite3.Connection, kept: Sequence[str]) -> bool:
     """True when the audit has the newest of these entries, each with its digest."""
-    first = max(len(kept) - n_newest, 0)
+    first = max(len(kept) - N_NEWEST, 0)
     newest = "SELECT entry, digest FROM audit WHERE entry BETWEEN ? AND ?"
     found = dict(connection.execute(newest, (first + 1, len(kept)))) if kept else {}
     return all(digest in ("", found.get(entry)) for entry, digest in enumerate(kept[first:], first + 1))

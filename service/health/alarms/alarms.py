@@ -4,10 +4,9 @@ import json
 import logging
 import sqlite3
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
-from functools import partial
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -18,7 +17,7 @@ from service.health.alarms.alarm import Alarm, AlarmState
 from service.health.alarms.machine import MAX_SHELVED_S, AlarmMachine, Change
 from service.health.alarms.rules import load_rules
 from service.store import Store, audit
-from service.store.event_log import EventLog, Write
+from service.store.event_log import EventLog
 from service.store.events import NewEvent
 
 log = logging.getLogger(__name__)
@@ -63,54 +62,47 @@ class Alarms:
         """Acknowledge an alarm and return it, None if it has ended; raise `AlarmConflictError` as the machine does."""
         before = self._machine.find(number)
         change = self._machine.acknowledge(number, who, utc_now())
-        return before if change is None else await self._noted(change, before, who, "alarm acknowledged")
+        return await self._asked(before, [] if change is None else [change], who, "alarm acknowledged")
 
     async def shelve(self, number: int, minutes: float, who: str, reason: str) -> Alarm | None:
         """Put an alarm aside for some minutes, and return it; None if there is none that has not ended."""
         before, shelf = self._machine.find(number), timedelta(minutes=minutes)
-        change = self._machine.shelve(
-            number,
-            who,
-            reason,
-            ends_s=time.monotonic() + min(shelf.total_seconds(), MAX_SHELVED_S),
-            until=rfc3339(datetime.now(UTC) + shelf),
-            at=utc_now(),
-        )
-        return None if change is None else await self._noted(change, before, who, "alarm shelved")
+        ends_s = time.monotonic() + min(shelf.total_seconds(), MAX_SHELVED_S)
+        until = rfc3339(datetime.now(UTC) + shelf)
+        change = self._machine.shelve(number, who, reason, ends_s=ends_s, until=until, at=utc_now())
+        return await self._asked(before, [] if change is None else [change], who, "alarm shelved")
 
     async def unshelve(self, number: int, who: str) -> Alarm | None:
         """Unshelve an alarm and return it, None if it has ended; raise `AlarmConflictError` if it is not shelved."""
-        before, after = self._machine.unshelve(number, time.monotonic()), None
-        for change in self._machine.update(self._checks, time.monotonic(), utc_now()):
-            if change.alarm.id == number:
+        before = self._machine.unshelve(number, time.monotonic())
+        changes = self._machine.update(self._checks, time.monotonic(), utc_now())
+        return await self._asked(before, changes, who, "alarm unshelved")
+
+    async def _asked(
+        self, before: Alarm | None, changes: Iterable[Change], who: str, action: str
+    ) -> Alarm | None:
+        """Note changes, that of an alarm with its author, and return the alarm as it is then."""
+        after = before
+        for change in changes:
+            if before is not None and change.alarm.id == before.id:
                 after = change.alarm
-                self._note(change, _audited(before, after, who, "alarm unshelved"))
+                self._note(change, before, who, action)
             else:
                 self._note(change)
         await self._log.written(WRITTEN_S)
-        return after or before
+        return after
 
-    async def _noted(self, change: Change, before: Alarm | None, who: str, action: str) -> Alarm:
-        self._note(change, _audited(before, change.alarm, who, action))
-        await self._log.written(WRITTEN_S)
-        return change.alarm
-
-    def _note(self, change: Change, noted: Write | None = None) -> None:
+    def _note(self, change: Change, before: Alarm | None = None, who: str = "", action: str = "") -> None:
         alarm = change.alarm
 
         def write(connection: sqlite3.Connection) -> None:
             keep(connection, alarm)
-            if noted is not None:
-                noted(connection)
+            if before is not None:
+                audit.note(connection, who, action, alarm.check, before=asdict(before), after=asdict(alarm))
 
         facts = {name: value for name, value in asdict(alarm).items() if name not in ("check", "changed_at")}
         event = change.event and NewEvent(type=change.event, subject=alarm.check, data=facts)
         self._log.note(*[event] if event else [], write=write)
-
-
-def _audited(before: Alarm | None, after: Alarm, who: str, action: str) -> Write:
-    facts = None if before is None else asdict(before)
-    return partial(audit.note, who=who, action=action, subject=after.check, before=facts, after=asdict(after))
 
 
 def keep(connection: sqlite3.Connection, alarm: Alarm) -> None:

@@ -118,15 +118,9 @@ class AlarmMachine:
         if alarm.state not in ANNOUNCED:
             raise AlarmConflictError(f"alarm {number} is {alarm.state}: there is nothing to acknowledge")
         is_over = alarm.state is AlarmState.RETURNED
-        alarm = replace(
-            alarm,
-            state=AlarmState.NORMAL if is_over else AlarmState.ACKNOWLEDGED,
-            acknowledged_at=at,
-            acknowledged_by=who,
-            changed_at=at,
-            ended_at=at if is_over else None,
-        )
-        return self._keep(Change(alarm, EventType.ALARM_ACKNOWLEDGED))
+        state = AlarmState.NORMAL if is_over else AlarmState.ACKNOWLEDGED
+        seen = {"acknowledged_at": at, "acknowledged_by": who, "ended_at": at if is_over else None}
+        return self._keep(_changed(alarm, state, EventType.ALARM_ACKNOWLEDGED, at, **seen))
 
     def shelve(
         self, number: int, who: str, reason: str, *, ends_s: float, until: str, at: str
@@ -136,15 +130,8 @@ class AlarmMachine:
         if alarm is None:
             return None
         self._shelf_ends_s[alarm.check] = ends_s
-        alarm = replace(
-            alarm,
-            state=AlarmState.SHELVED,
-            changed_at=at,
-            shelved_until=until,
-            shelved_by=who,
-            shelf_reason=reason,
-        )
-        return self._keep(Change(alarm, EventType.ALARM_SHELVED))
+        shelf = {"shelved_until": until, "shelved_by": who, "shelf_reason": reason}
+        return self._keep(_changed(alarm, AlarmState.SHELVED, EventType.ALARM_SHELVED, at, **shelf))
 
     def unshelve(self, number: int, now_s: float) -> Alarm | None:
         """Unshelve an alarm with the next `update` and return it; raise `AlarmConflictError` if it is not shelved."""
@@ -232,7 +219,7 @@ class AlarmMachine:
 
 
 def _changed(alarm: Alarm, state: AlarmState, event: EventType | None, at: str, **more: Any) -> Change:
-    return Change(replace(alarm, state=state, changed_at=at, shelved_until=None, **more), event)
+    return Change(replace(alarm, **{"state": state, "changed_at": at, "shelved_until": None, **more}), event)
 
 
 def _raised(alarm: Alarm, watched: _Watched, at: str, **more: Any) -> Change:
