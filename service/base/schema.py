@@ -36,8 +36,8 @@ def require_ranges(settings: object, **ranges: tuple[float, float]) -> None:
     for name, (low, high) in ranges.items():
         value = getattr(settings, name)
         if not low <= value <= high:
-            shown = value if isinstance(value, int) else f"{value:g}"
-            raise ValueError(f"{name} must be in {low:g}..{high:g}, not {shown}")
+            shown = (each if isinstance(each, int) else f"{each:g}" for each in (low, high, value))
+            raise ValueError("{} must be in {}..{}, not {}".format(name, *shown))
 
 
 class RequestBody(BaseModel):

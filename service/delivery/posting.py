@@ -96,7 +96,7 @@ async def post(
     began_s = time.monotonic()
     try:
         async with asyncio.timeout(settings.timeout_s):
-            answer = await _answer(endpoint, settings, _request(endpoint, body, headers), tls)
+            answer = await _answer(endpoint, settings, body, headers, tls)
     except TimeoutError:
         answer = EndpointAnswer(problem=f"no answer within {settings.timeout_s:g} s")
     except (NoAnswerError, OSError, ValueError) as err:
@@ -104,7 +104,13 @@ async def post(
     return replace(answer, duration_ms=round(1000 * (time.monotonic() - began_s)))
 
 
-def _request(endpoint: WebhookEndpoint, body: bytes, headers: Mapping[str, str]) -> list[h11.Event]:
+async def _answer(
+    endpoint: WebhookEndpoint,
+    settings: WebhooksSettings,
+    body: bytes,
+    headers: Mapping[str, str],
+    tls: ssl.SSLContext | None,
+) -> EndpointAnswer:
     parts = endpoint.target
     target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
     fields = {
@@ -115,23 +121,11 @@ def _request(endpoint: WebhookEndpoint, body: bytes, headers: Mapping[str, str])
         "Connection": "close",
         **headers,
     }
-    return [
-        h11.Request(method="POST", target=target, headers=list(fields.items())),
-        h11.Data(data=body),
-        h11.EndOfMessage(),
-    ]
-
-
-async def _answer(
-    endpoint: WebhookEndpoint,
-    settings: WebhooksSettings,
-    request: list[h11.Event],
-    tls: ssl.SSLContext | None,
-) -> EndpointAnswer:
+    request = h11.Request(method="POST", target=target, headers=list(fields.items()))
     reader, writer = await _connect(endpoint, settings, tls)
     try:
         connection = h11.Connection(h11.CLIENT, max_incomplete_event_size=MAX_HEAD_BYTES)
-        for part in request:
+        for part in (request, h11.Data(data=body), h11.EndOfMessage()):
             writer.write(connection.send(part) or b"")
         return _answer_of(await _head(reader, connection))
     except h11.ProtocolError as err:
@@ -151,16 +145,13 @@ async def _connect(
             f"{host} has the address {', '.join(addresses)}, not in [webhooks] allowed_networks: not asked"
         )
     share_s = settings.timeout_s / len(allowed) if len(allowed) > 1 else None
+    certified = None if tls is None else host
     refusal: OSError | None = None
     for address in allowed:
         try:
             async with asyncio.timeout(share_s):
                 return await asyncio.open_connection(
-                    address,
-                    port,
-                    limit=CHUNK_BYTES,
-                    ssl=tls,
-                    server_hostname=host if tls is not None else None,
+                    address, port, limit=CHUNK_BYTES, ssl=tls, server_hostname=certified
                 )
         except OSError as err:
             refusal = err

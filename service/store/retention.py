@@ -13,7 +13,7 @@ from enum import StrEnum
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
 from service.base.errors import TooManyError
-from service.base.schema import ANSWER, Time, adds_to
+from service.base.schema import ANSWER, Time, adds_to, require_ranges
 from service.store import audit
 from service.store.events import CursorError
 from service.store.schema import rows_by_name
@@ -42,11 +42,7 @@ class RetentionLimits:
     warn_days: float = 7.0  # health warns when the disk has room for less than this
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            most = MOST[field.name.rpartition("_")[2]]
-            if not 0 <= value <= most:
-                raise ValueError(f"{field.name} must be in 0..{most}, not {value:g}")
+        require_ranges(self, **{each.name: (0, MOST[each.name.rpartition("_")[2]]) for each in fields(self)})
         if 0 < self.results_days < self.files_days:
             raise ValueError(
                 f"files_days must not exceed results_days, {self.results_days:g}, not {self.files_days:g}"

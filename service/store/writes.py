@@ -104,7 +104,7 @@ def record_triggers(
 ) -> None:
     """Record triggers by the names of their bundles, without an outcome yet, and the gate's count at the last."""
     for bundle, trigger in triggers.items():
-        _record(connection, session, bundle, trigger.sequence, trigger.kind, trigger.utc, trigger.n_stones)
+        _record(connection, session, bundle, trigger, trigger.utc)
     if gate_count is not None:
         note_gate_count(connection, session, gate_count)
 
@@ -143,8 +143,7 @@ def finish(
     if row is None:
         if not record.captured_at:
             raise StoreError(f"session {session}, bundle {bundle}: no such trigger was recorded")
-        fall = (record.sequence, record.kind, record.captured_at, record.n_stones)
-        row = (_record(connection, session, bundle, *fall), "open", None)
+        row = (_record(connection, session, bundle, record, record.captured_at), "open", None)
     trigger, state, seq = row
     if state == "background":
         raise StoreError(f"session {session}, bundle {bundle}: a background has no outcome")
@@ -217,21 +216,15 @@ def add_revision(
 
 
 def _record(
-    connection: sqlite3.Connection,
-    session: int,
-    bundle: str,
-    sequence: int,
-    kind: str,
-    captured_at: str,
-    n_stones: int,
+    connection: sqlite3.Connection, session: int, bundle: str, fall: Trigger | Result, at: str
 ) -> int:
     """Insert a trigger without an outcome and return its number."""
-    state = "background" if kind == BundleKind.BACKGROUND else "open"
+    state = "background" if fall.kind == BundleKind.BACKGROUND else "open"
     (number,) = connection.execute(
         "INSERT INTO triggers (session, bundle, sequence, kind, captured_at, state, n, lot)"
         " VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7,"
         " iif(?4 = 'particle', (SELECT lot FROM lots WHERE state = 'open'), NULL)) RETURNING trigger",
-        (session, bundle, sequence, kind, rfc3339(captured_at), state, n_stones),
+        (session, bundle, fall.sequence, fall.kind, rfc3339(at), state, fall.n_stones),
     ).fetchone()
     return int(number)
 
