@@ -80,7 +80,7 @@ class FileDrop:
             pause_s = await self._look(self._settings, make_files)
             with suppress(TimeoutError):
                 async with asyncio.timeout(pause_s):
-                    await self._store.wait_while(lambda: self._store.last_event <= last_event)  # noqa: B023 - awaited at once
+                    await self._store.wait_for_event(last_event)
 
     async def _look(self, settings: FileDropSettings, make_files: MakeFiles) -> float | None:
         """Write what is due; return how long to wait for the next look, None: until something happens."""

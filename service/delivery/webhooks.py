@@ -153,8 +153,7 @@ class Webhooks:
             for name, endpoint in self._endpoints.items():
                 tasks.create_task(self._tell(endpoint, self._told[name]))
             while not self._store.is_released:
-                last_event = self._store.last_event
-                await self._store.wait_while(lambda: self._store.last_event <= last_event)  # noqa: B023 - awaited at once
+                await self._store.wait_for_event(self._store.last_event)
                 for told in self._told.values():
                     told.wake.set()
 

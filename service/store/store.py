@@ -219,6 +219,10 @@ class Store:
         while is_awaited() and not self.is_released:
             await self._committed.wait()
 
+    async def wait_for_event(self, seen: int) -> None:
+        """Wait until there is an event after number `seen`, or until waiting was ended."""
+        await self.wait_while(lambda: self.last_event <= seen)
+
     def release_waiters(self) -> None:
         """End all waiting in `wait_while` for good, because the daemon is about to stop."""
         self.is_released = True
