@@ -4,10 +4,10 @@ They judge the whole measuring chain with the calibration in use: mean error and
 vertical against the horizontal diameter, which differ when a ball moves too far during the exposure.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from statistics import fmean, stdev
 
-from service.base.schema import ANSWER
+from service.base.schema import ANSWER, require_ranges
 
 MAX_SIZE_RATIO = 1.1
 """Of measured and stated diameter; what differs more is something else, however badly the rig is calibrated."""
@@ -59,10 +59,8 @@ class VerificationParameters:
     """Limit of vertical minus horizontal diameter, either way, mm."""
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            low, high = (0.0, 10_000.0) if name == "every_h" else (1e-3, 10.0)
-            if not low <= value <= high:
-                raise ValueError(f"{name} must be in {low:g}..{high:g}, not {value:g}")
+        limits_mm = dict.fromkeys(("error_mm", "sd_mm", "vertical_minus_horizontal_mm"), (1e-3, 10.0))
+        require_ranges(self, every_h=(0, 10_000), **limits_mm)
 
     def problems(self, balls: tuple[VerifiedBall, ...], diameter_mm: float) -> list[str]:
         """Return the figures that exceed their limits, each with the remedy."""

@@ -33,10 +33,8 @@ class CameraFinding:
 def described(findings: Collection[CameraFinding], n_cameras: int) -> str | None:
     """Return the findings in one line, each after its cameras, None when there are none."""
     names = (", ".join(each.cameras) if 2 * len(each.cameras) <= n_cameras else "" for each in findings)
-    return (
-        "; ".join(f"{name or 'all'}: {each.detail}" for name, each in zip(names, findings, strict=True))
-        or None
-    )
+    texts = (f"{name or 'all'}: {each.detail}" for name, each in zip(names, findings, strict=True))
+    return "; ".join(texts) or None
 
 
 def camera_ne107(camera: CameraStatus, findings: Collection[CameraFinding]) -> Ne107:

@@ -6,7 +6,7 @@ from enum import StrEnum
 from ipaddress import ip_network
 
 from service.base.addresses import address_of, is_host, is_loopback
-from service.base.schema import Live
+from service.base.schema import Live, require_ranges
 
 
 class Scope(StrEnum):
@@ -65,8 +65,7 @@ class ApiSettings:
                 ip_network(proxy)
             except ValueError as err:
                 raise ValueError(f"trusted_proxies: {err}") from None
-        if not 0 <= self.port <= 65535:
-            raise ValueError(f"port must be in 0..65535, not {self.port}")
+        require_ranges(self, port=(0, 65535))
         if self.max_body_bytes < 1024:
             raise ValueError(f"max_body_bytes must be at least 1024, not {self.max_body_bytes}")
 
