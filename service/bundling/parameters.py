@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-from service.base.schema import require_ranges
-
 IN_VIEW_NS = 50_000_000
 """A stone within this time after a test pulse is in the picture or at its edge: it crosses the picture in 20 ms."""
 
@@ -17,7 +15,10 @@ class BundlingParameters:
     dead_time_ms: float = 220.0  # least time between two triggers, as the gate enforces it
 
     def __post_init__(self) -> None:
-        require_ranges(self, expected_delay_ms=(0, 10_000), window_ms=(1, 5_000))
+        if not 0 <= self.expected_delay_ms <= 10_000:
+            raise ValueError(f"expected_delay_ms must be in 0..10000, not {self.expected_delay_ms:g}")
+        if not 1 <= self.window_ms <= 5_000:
+            raise ValueError(f"window_ms must be in 1..5000, not {self.window_ms:g}")
         if not self.dead_time_ms > 2 * self.window_ms:
             raise ValueError(
                 f"dead_time_ms must exceed twice window_ms, {2 * self.window_ms:g}, not {self.dead_time_ms:g}"
