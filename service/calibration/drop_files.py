@@ -66,20 +66,14 @@ class ObservedDrop:
 
 def _without_outlines(drop: ObservedDrop) -> BallDrop:
     """Return the drop with centres and radii only, which is enough to judge the coverage."""
-    return BallDrop(
-        name=drop.bundle,
-        diameter_mm=drop.diameter_mm,
-        views={
-            camera: BallView(
-                outline_uv=np.zeros((0, 2)),
-                center_uv=np.array(circle.center_uv),
-                radius_px=circle.radius_px,
-                rms_px=0.0,
-            )
-            for camera, circle in drop.views.items()
-        },
-        refused=drop.refused,
-    )
+    none_uv = np.empty((0, 2))
+    views = {
+        camera: BallView(
+            outline_uv=none_uv, center_uv=np.array(seen.center_uv), radius_px=seen.radius_px, rms_px=0.0
+        )
+        for camera, seen in drop.views.items()
+    }
+    return BallDrop(name=drop.bundle, diameter_mm=drop.diameter_mm, views=views)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,23 +119,9 @@ def calibration_document(
 
 def write_drop(path: Path, drop: BallDrop) -> None:
     """Write a drop with its outlines to an npz file."""
-    header = {
-        "name": drop.name,
-        "diameter_mm": drop.diameter_mm,
-        "refused": dict(drop.refused),
-        "fall_ns": drop.fall_ns,
-        "views": {
-            camera: {
-                "center_uv": view.center_uv.tolist(),
-                "radius_px": view.radius_px,
-                "rms_px": view.rms_px,
-                "edge_sigma_px": view.edge_sigma_px,
-            }
-            for camera, view in drop.views.items()
-        },
-    }
-    arrays: dict[str, Any] = {camera: view.outline_uv for camera, view in drop.views.items()}
-    arrays[HEADER] = np.array(json.dumps(header))
+    header = asdict(drop)
+    arrays: dict[str, Any] = {camera: view.pop("outline_uv") for camera, view in header["views"].items()}
+    arrays[HEADER] = np.array(json.dumps(header, default=np.ndarray.tolist))
     with path.open("wb") as file:
         np.savez(file, **arrays)
 
@@ -150,23 +130,11 @@ def read_drop(path: Path) -> BallDrop:
     """Read a drop that `write_drop` has written."""
     with path.open("rb") as file, np.load(file) as arrays:
         header = json.loads(str(arrays[HEADER]))
-        views = {
-            CameraId(camera): BallView(
-                outline_uv=arrays[camera],
-                center_uv=np.array(view["center_uv"]),
-                radius_px=view["radius_px"],
-                rms_px=view["rms_px"],
-                edge_sigma_px=view.get("edge_sigma_px"),  # older files have none
+        for camera, view in header["views"].items():
+            header["views"][camera] = BallView(
+                outline_uv=arrays[camera], center_uv=np.array(view.pop("center_uv")), **view
             )
-            for camera, view in header["views"].items()
-        }
-    return BallDrop(
-        name=header["name"],
-        diameter_mm=header["diameter_mm"],
-        views=views,
-        refused=header["refused"],
-        fall_ns=header["fall_ns"],
-    )
+    return BallDrop(**header)
 
 
 def keep_drop(folder: Path, drop: ObservedDrop, outlines_path: Path | None) -> None:
