@@ -48,7 +48,7 @@ from service.calibration.states import (
 )
 from service.calibration.verifications import Verification, VerificationRequest, Verifications
 from service.processing.measure_job import RigFile
-from service.processing.worker_pool import JobLostError, WorkerStartError
+from service.processing.worker_slot import JobLostError, WorkerStartError
 from service.results.fields import Result, Verified
 
 log = logging.getLogger(__name__)

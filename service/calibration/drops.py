@@ -2,6 +2,7 @@
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -35,8 +36,9 @@ from service.calibration.files import REPORT, RIG
 from service.calibration.states import Method
 from service.processing.measure_job import MeasureJob, background_at, lower_priority, rig_in, this_worker
 from service.processing.processing import KeepDrop
-from service.processing.worker_pool import JobLostError, JobPool, WorkerPool
+from service.processing.worker_pool import JobPool, WorkerPool
 from service.processing.worker_process import worker_boundary
+from service.processing.worker_slot import JobLostError
 from service.results.fields import Result
 
 OUTLINES = "outlines.npz"
@@ -150,19 +152,6 @@ def _stone_report(
     }
 
 
-@dataclass(frozen=True, slots=True)
-class ObserveJob:
-    """A ball or stone to observe, in the bundle of a job that measures it; its outlines are written to `outlines`."""
-
-    job: MeasureJob
-    kind: BundleKind
-    diameters_mm: tuple[float, ...]  # of the balls that may fall
-
-    @property
-    def outlines(self) -> Path:
-        return self.job.out_dir / OUTLINES
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SolveJob:
     """A calibration to solve; `rig.json` and `report.json` are written to `folder`."""
@@ -188,23 +177,24 @@ class Solved:
 Solver = Callable[[SolveJob], Awaitable[Solved]]
 
 
-def observe(wanted: ObserveJob) -> ObservedDrop:
-    """Find the outlines of a drop in the views of a bundle and compare them with the calibration in use.
+def observe(job: MeasureJob, kind: BundleKind, diameters_mm: tuple[float, ...]) -> ObservedDrop:
+    """Find the outlines of a drop in the views of a measured bundle and compare them with the calibration in use.
 
-    Raises `RecordingError` if nothing of the bundle can be read, `WorkerFailure` for anything else.
+    `diameters_mm` are those of the balls that may fall. Raises `RecordingError` if nothing of the bundle can be read,
+    `WorkerFailure` for anything else.
     """
-    job, worker = wanted.job, this_worker()
+    worker = this_worker()
     bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
     with worker_boundary():
         rig = rig_in(job.rig_file)
         background = background_at(job.background_path)
         # never the network, whose training an edge must not depend on: views without comparison are left out
         segmenter = BackgroundSegmenter(worker.context.parameters.segmentation)
-        drop = observe_drop(bundle, background, segmenter, wanted.kind)
-        if wanted.kind is BundleKind.BALL:
-            drop = _with_nearest_diameter(drop, wanted.diameters_mm, rig)
-        write_drop(wanted.outlines, drop)
-        return _observed(drop, rig, wanted.kind)
+        drop = observe_drop(bundle, background, segmenter, kind)
+        if kind is BundleKind.BALL:
+            drop = _with_nearest_diameter(drop, diameters_mm, rig)
+        write_drop(job.out_dir / OUTLINES, drop)
+        return _observed(drop, rig, kind)
 
 
 def solve(job: SolveJob) -> Solved:
@@ -233,7 +223,7 @@ async def solve_apart(job: SolveJob) -> Solved:
     async with WorkerPool(
         slots=1, deadline_s=SOLVE_DEADLINE_S, prepare=lower_priority, context=None
     ) as pool:  # bundles do not wait for it
-        return await pool.run(solve, job)
+        return await pool.run(partial(solve, job))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -251,10 +241,9 @@ class DropCollector:
 
         A drop that cannot be observed is passed on with the problem.
         """
-        observing = ObserveJob(job, self.kind, self.diameters_mm)
         problem: str | None = None
         try:
-            drop = await pool.run(observe, observing)
+            drop = await pool.run(partial(observe, job, self.kind, self.diameters_mm))
         except RecordingError as err:
             problem = err.problem
         except JobLostError as err:
@@ -262,7 +251,7 @@ class DropCollector:
 
         async def keep(record: Result) -> None:
             if problem is None:
-                await self.add(drop, record, observing.outlines)
+                await self.add(drop, record, job.out_dir / OUTLINES)
             else:
                 await self.add(ObservedDrop(bundle=record.bundle, problem=problem), record, None)
 

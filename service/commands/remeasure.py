@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,7 +29,8 @@ from service.commands.options import Executor
 from service.commands.results_folder import IN_FLIGHT
 from service.configuration.settings import load_settings
 from service.processing.measure_job import measure
-from service.processing.worker_pool import JobLostError, JobPool
+from service.processing.worker_pool import JobPool
+from service.processing.worker_slot import JobLostError
 from service.remeasuring.executor import open_cluster
 from service.remeasuring.jobs import Hindrance
 from service.remeasuring.orders import MAX_OPEN, Order, read_context, read_order, write_record
@@ -203,7 +205,7 @@ async def _remeasure(name: str, daemon: OrderingDaemon, pool: JobPool, summary: 
             return
         order_name, order = ordered
         try:
-            measured = await pool.run(measure, order.job)
+            measured = await pool.run(partial(measure, order.job))
             await asyncio.to_thread(write_record, order, measured.record)
         except FileNotFoundError as err:
             if attempt == TRIES:

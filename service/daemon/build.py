@@ -112,7 +112,7 @@ async def build(configured: Configuration, store: Store, reading: Reading, reque
         processing=processing,
         delays=delays,
         latest_delays_s=latest_delays_s,
-        remeasuring=Remeasuring(again, worker_context, lambda: new_pool(worker_context)),
+        remeasuring=Remeasuring(again, worker_context, new_pool(worker_context)),
         retaining=retaining,
         alarms=await open_alarms(store, session.events),
         webhooks=await open_webhooks(store, settings.webhooks),

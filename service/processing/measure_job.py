@@ -92,17 +92,6 @@ class MeasuredBundle:
     network_trouble: str | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LearnJob:
-    """One exposure of the empty rig to add to the background, which is written into a new folder."""
-
-    bundle_path: Path
-    camera_ids: tuple[CameraId, ...]
-    previous_path: Path | None
-    out_path: Path
-    threads: int = 1  # views that are processed at a time
-
-
 @dataclass(frozen=True, slots=True)
 class Worker:
     """State of a worker process that its jobs share."""
@@ -263,22 +252,29 @@ def _write_files(job: MeasureJob, result: ParticleResult, *, compact_mesh: bool)
         write_silhouettes(job.out_dir / SILHOUETTES, regions, size_px)
 
 
-def learn_background(job: LearnJob) -> dict[str, Any]:
-    """Add one exposure of the empty rig to the background and write that into a new folder.
+def learn_background(
+    *,
+    bundle_path: Path,
+    camera_ids: tuple[CameraId, ...],
+    previous_path: Path | None,
+    out_path: Path,
+    threads: int = 1,
+) -> dict[str, Any]:
+    """Add one exposure of the empty rig to the background and write that into a new folder, `threads` views at a time.
 
     Returns the optics of each camera, see `service.results.record.optics_record`. Raises what `measure` raises.
     """
-    bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
+    bundle = read_bundle(bundle_path, camera_ids, mapped=True)
     with worker_boundary():
-        previous = background_at(job.previous_path)
+        previous = background_at(previous_path)
 
         def add(camera: CameraId) -> dict[str, Any]:
             known = {camera: previous[camera]} if camera in previous else {}
             seen = {camera: bundle.frames[camera]} if camera in bundle.frames else {}
-            write_background(job.out_path, learn(known, seen))
+            write_background(out_path, learn(known, seen))
             return optics_record(observe_all(seen, known))
 
         # camera by camera: all means at once are 84 MB of fresh memory
-        with view_mapper(job.threads) as mapper:
+        with view_mapper(threads) as mapper:
             observed = mapper(add, sorted({*previous, *bundle.frames}))
             return {camera: figures for seen in observed for camera, figures in seen.items()}

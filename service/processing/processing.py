@@ -12,6 +12,7 @@ import shutil
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,7 +22,6 @@ from service.processing.backgrounds import BackgroundVersions, KeptBackground, L
 from service.processing.left_bundles import Quarantine, job_folder
 from service.processing.measure_job import (
     RESULT_FILES,
-    LearnJob,
     MeasuredBundle,
     MeasureJob,
     RigFile,
@@ -29,7 +29,8 @@ from service.processing.measure_job import (
     measure,
 )
 from service.processing.spool import Loss, SpooledBundle
-from service.processing.worker_pool import JobLostError, JobPool
+from service.processing.worker_pool import JobPool
+from service.processing.worker_slot import JobLostError
 from service.results.fields import LossReason, Result, Verified
 from service.results.record import lost_record
 
@@ -296,14 +297,15 @@ class Processing:
         return loss
 
     async def _learn(self, path: Path, turn: _Turn, folder: Path) -> LearntBackground:
-        job = LearnJob(
+        job = partial(
+            learn_background,
             bundle_path=path,
             camera_ids=self._context.camera_ids,
             previous_path=turn.background,
             out_path=folder,
             threads=self._pool.threads_per_job,
         )
-        optics = await self._pool.run(learn_background, job)
+        optics = await self._pool.run(job)
         return LearntBackground(complete(folder), optics)
 
     async def _measure(self, path: Path, turn: _Turn, folder: Path) -> _Measured:
@@ -317,7 +319,9 @@ class Processing:
             checked=self._context.checked,
             threads=self._pool.threads_per_job,
         )
-        measured = await self._pool.run_when_idle(measure, lambda: replace(job, is_rushed=self._is_rush()))
+        measured = await self._pool.run_when_idle(
+            lambda: partial(measure, replace(job, is_rushed=self._is_rush()))
+        )
         keep_drop = None if turn.collector is None else await turn.collector.observe(self._pool, job)
         return _Measured(measured, folder, keep_drop)
 

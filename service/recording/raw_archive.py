@@ -12,7 +12,6 @@ import time
 from collections import deque
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Protocol
@@ -23,8 +22,9 @@ from drivers.files.durable import copy_past_cache, replacing, sync
 from pipeline.frames import CameraId
 from service.base.errors import StoreError
 from service.base.status import Checks, trouble_check
-from service.processing.worker_pool import JobLostError, WorkerPool
+from service.processing.worker_pool import WorkerPool
 from service.processing.worker_process import lower_priority, worker_boundary
+from service.processing.worker_slot import JobLostError
 
 log = logging.getLogger(__name__)
 
@@ -48,39 +48,31 @@ class RawFolder(Protocol):
     async def drop_old_raw(self, seq: int) -> None: ...
 
 
-@dataclass(frozen=True, slots=True)
-class KeepJob:
-    """A bundle's file to keep, and the file to write."""
-
-    bundle_path: Path
-    camera_ids: tuple[CameraId, ...]
-    out_path: Path
-    compression: Compression
-
-
-def keep_frames(job: KeepJob) -> str | None:
-    """Write the bundle durably; return the problem of the disk if it cannot be written.
+def keep_frames(
+    bundle_path: Path, camera_ids: tuple[CameraId, ...], out_path: Path, compression: Compression
+) -> str | None:
+    """Write the bundle of a file durably to another; return the problem of the disk if it cannot be written.
 
     Raises `RecordingError` when nothing of the bundle can be read, else `WorkerFailure`.
     """
     bundle = None
-    if job.compression == "none":  # copied as it is: verifying pixels by their checksums would take as long
-        read_header(job.bundle_path)
+    if compression == "none":  # copied as it is: verifying pixels by their checksums would take as long
+        read_header(bundle_path)
     else:
-        bundle = read_bundle(job.bundle_path, job.camera_ids, mapped=True)
+        bundle = read_bundle(bundle_path, camera_ids, mapped=True)
     with worker_boundary():
         try:
-            if not job.out_path.parent.exists():  # the result has no other files
-                job.out_path.parent.mkdir(parents=True)
-                sync(job.out_path.parent.parent)
+            if not out_path.parent.exists():  # the result has no other files
+                out_path.parent.mkdir(parents=True)
+                sync(out_path.parent.parent)
             if bundle is None:
-                with replacing(job.out_path) as unfinished:
-                    copy_past_cache(job.bundle_path, unfinished)
+                with replacing(out_path) as unfinished:
+                    copy_past_cache(bundle_path, unfinished)
             else:
-                compressing = partial(write_bundle, compression=job.compression)
+                compressing = partial(write_bundle, compression=compression)
                 only_when_idle = partial(os.sched_setscheduler, 0, os.SCHED_IDLE, os.sched_param(0))
                 with ThreadPoolExecutor(1, "compress", only_when_idle) as thread:
-                    thread.submit(compressing, job.out_path, bundle, job.camera_ids).result()
+                    thread.submit(compressing, out_path, bundle, camera_ids).result()
         except OSError as err:
             return str(err.strerror)
     return None
@@ -141,13 +133,11 @@ class RawArchive:
             while (item := await self._waiting.get()) is not None:
                 path, seq = item
                 is_rush = len(self._taken_s) == RUSH and self._taken_s[-1] - self._taken_s[0] < RUSH_S
-                if pool.pids == []:
-                    await pool.start()
                 try:
                     out_path = await self._folder.raw_path(seq)
                     compression: Compression = "zstd" if self._waiting.empty() and not is_rush else "none"
-                    job = KeepJob(path, self._camera_ids, out_path, compression)
-                    if (problem := await pool.run(keep_frames, job)) is None:
+                    keeping = partial(keep_frames, path, self._camera_ids, out_path, compression)
+                    if (problem := await pool.run(keeping)) is None:
                         await self._folder.drop_old_raw(seq)
                     else:
                         self._leave_out(seq, problem)

@@ -16,7 +16,7 @@ import shutil
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import cast
@@ -38,9 +38,9 @@ from service.processing.measure_job import (
     prepare,
     prepare_to_learn,
 )
-from service.processing.resting_pool import RestingPool
 from service.processing.segmenters import CLASSICAL
-from service.processing.worker_pool import Job, JobLostError, Result, WorkerPool, WorkerStartError
+from service.processing.worker_pool import REST_S, Result, WorkerPool
+from service.processing.worker_slot import JobLostError, WorkerStartError
 from service.results.fields import LossReason
 from service.results.version import ALGORITHM_VERSION
 
@@ -100,10 +100,12 @@ class Processes(WorkerPlugin):
     def setup(self, worker: Worker) -> None:
         """Make the pool; its processes start with the first bundle and end some time after."""
         isolate_numba_cache()  # of the processes; this one computes nothing
-        self._pool = RestingPool(
-            lambda: WorkerPool(
-                slots=worker.state.nthreads, deadline_s=DEADLINE_S, prepare=prepare, context=self._context
-            )
+        self._pool = WorkerPool(
+            slots=worker.state.nthreads,
+            deadline_s=DEADLINE_S,
+            prepare=prepare,
+            context=self._context,
+            rest_s=REST_S,
         )
         self._digest_of = lru_cache(N_DIGESTS)(digest_of)
         self._folder = Path(worker.local_directory) / "stonefall"  # which the worker removes when it ends
@@ -119,7 +121,7 @@ class Processes(WorkerPlugin):
             raise ClusterError(trouble)
         folder = self._folder / f"bundle-{uuid4().hex}"
         try:
-            measured = await self._pool.run(measure, replace(task.job, out_dir=folder / "out"))
+            measured = await self._pool.run(partial(measure, replace(task.job, out_dir=folder / "out")))
             return MeasuredFiles(measured, await asyncio.to_thread(_files, folder / "out"))
         except WorkerStartError as err:
             raise ClusterError(str(err)) from None
@@ -217,22 +219,22 @@ class ClusterPool:
         self.n_waiting = 0  # bundles of an archive wait for as long as it takes
         self.threads_per_job = 1
         learning = replace(context, segmentation=CLASSICAL)
-        self._here = RestingPool(
-            lambda: WorkerPool(slots=1, deadline_s=DEADLINE_S, prepare=prepare_to_learn, context=learning)
+        self._here = WorkerPool(
+            slots=1, deadline_s=DEADLINE_S, prepare=prepare_to_learn, context=learning, rest_s=REST_S
         )
         self._digest_of = lru_cache(N_DIGESTS)(digest_of)  # none is rewritten under its name
 
-    async def run(self, function: Callable[[Job], Result], job: Job) -> Result:
-        """Return `function(job)`, computed on the cluster if a bundle is to be measured.
+    async def run(self, job: partial[Result]) -> Result:
+        """Return the job's result, computed on the cluster if a bundle is to be measured.
 
         Raises `JobLostError` as `WorkerPool` does, `ClusterError` if the cluster is gone or a worker cannot measure.
         """
-        if isinstance(job, MeasureJob):
-            return cast(Result, await self._measure(job))
-        return await self._here.run(function, job)
+        if job.func is measure:
+            return cast(Result, await self._measure(*job.args))
+        return await self._here.run(job)
 
-    async def run_when_idle(self, function: Callable[[Job], Result], make_job: Callable[[], Job]) -> Result:
-        return await self.run(function, make_job())
+    async def run_when_idle(self, make_job: Callable[[], partial[Result]]) -> Result:
+        return await self.run(make_job())
 
     def close(self) -> None:
         """Stop the local process that learns backgrounds."""

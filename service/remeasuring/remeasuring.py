@@ -10,14 +10,15 @@ killed and ask again.
 import asyncio
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 
 from drivers.errors import RecordingError
 from service.processing import measure_job
 from service.processing.measure_job import MeasuredBundle, MeasureJob, WorkerContext, measure
-from service.processing.resting_pool import RestingPool
-from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError
+from service.processing.worker_pool import REST_S, WorkerPool
 from service.processing.worker_process import WarmUp
+from service.processing.worker_slot import JobLostError, WorkerStartError
 from service.remeasuring.jobs import Hindrance, Jobs, RemeasureError
 from service.remeasuring.orders import Orders
 from service.remeasuring.revising import revise
@@ -38,7 +39,9 @@ def prepare(context: WorkerContext) -> Sequence[WarmUp]:
 
 def new_pool(context: WorkerContext) -> WorkerPool:
     """Return the pool of the one process, not started; its context is that of the workers."""
-    return WorkerPool(slots=1, deadline_s=DEADLINE_S, prepare=prepare, context=context, name=PROCESS_NAME)
+    return WorkerPool(
+        slots=1, deadline_s=DEADLINE_S, prepare=prepare, context=context, name=PROCESS_NAME, rest_s=REST_S
+    )
 
 
 class Remeasuring:
@@ -47,11 +50,11 @@ class Remeasuring:
     `orders` are for stones that a cluster measures instead.
     """
 
-    def __init__(self, jobs: Jobs, context: WorkerContext, make_pool: Callable[[], WorkerPool]) -> None:
+    def __init__(self, jobs: Jobs, context: WorkerContext, pool: WorkerPool) -> None:
         self._jobs = jobs
         self.orders = Orders(jobs, context)
         self._turn = asyncio.Lock()
-        self._pool = RestingPool(make_pool)
+        self._pool = pool
         self._job: asyncio.Task[MeasuredBundle] | None = None
 
     async def measure(self, name: str, who: str) -> bool:
@@ -83,7 +86,7 @@ class Remeasuring:
 
     async def _measured(self, job: MeasureJob) -> MeasuredBundle:
         """Measure in the process, which is started if it rests."""
-        self._job = asyncio.create_task(self._pool.run(measure, job))
+        self._job = asyncio.create_task(self._pool.run(partial(measure, job)))
         try:
             await asyncio.wait([self._job])
             if self._job.cancelled():

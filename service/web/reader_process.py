@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from http import HTTPStatus
 from importlib import import_module
-from operator import call
 from typing import Protocol, TypeVar
 
 from service.base.errors import ProblemError, ProblemKind
-from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError
+from service.processing.worker_pool import WorkerPool
 from service.processing.worker_process import WarmUp
+from service.processing.worker_slot import JobLostError, WorkerStartError
 
 log = logging.getLogger(__name__)
 
@@ -69,15 +69,9 @@ class ReaderProcess:
     """Runs one request at a time in the process `stonefall-read`, which imports `modules` first; a `Reading`."""
 
     def __init__(self, modules: Sequence[str] = ()) -> None:
-        self._new_pool = partial(
-            WorkerPool,
-            slots=1,
-            deadline_s=DEADLINE_S,
-            prepare=prepare,
-            context=(NICENESS, modules),
-            name=PROCESS_NAME,
+        self._pool = WorkerPool(
+            slots=1, deadline_s=DEADLINE_S, prepare=prepare, context=(NICENESS, modules), name=PROCESS_NAME
         )
-        self._pool = self._new_pool()
         self._turn = asyncio.Lock()
         self._n_waiting = 0
 
@@ -102,13 +96,9 @@ class ReaderProcess:
         self._n_waiting += 1
         try:
             async with self._turn:
-                if not self._pool.pids:
-                    await self._pool.start()
-                return await self._pool.run(call, partial(function, *arguments))
+                return await self._pool.run(partial(function, *arguments))
         except (JobLostError, WorkerStartError) as err:
             log.error("a request was given up: %s", err)
-            self.close()
-            self._pool = self._new_pool()
             raise BusyError("this could not be made now: try again in 2 s") from err
         finally:
             self._n_waiting -= 1

@@ -8,6 +8,7 @@ import socket
 import sqlite3
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,6 @@ from pipeline.particle import BodyParameters, PipelineParameters
 from service.health.alarms.rules import load_rules
 from service.processing.measure_job import (
     COMPACT_MESH,
-    LearnJob,
     MeasureJob,
     RigFile,
     WorkerContext,
@@ -72,13 +72,14 @@ def measured_offline(path: Path, out: Path) -> list[dict[str, Any]]:
         for header in playback_order(recording):
             if header.kind is BundleKind.BACKGROUND:
                 previous, background = background, out / f"{header.name}.background"
-                learn = LearnJob(
+                learn = partial(
+                    learn_background,
                     bundle_path=header.path,
                     camera_ids=recording.camera_ids,
                     previous_path=previous,
                     out_path=background,
                 )
-                worker.submit(learn_background, learn).result()
+                worker.submit(learn).result()
                 continue
             job = MeasureJob(
                 bundle_path=header.path,

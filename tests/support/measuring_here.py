@@ -3,9 +3,10 @@
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from functools import partial
 
 from service.processing.measure_job import WorkerContext, begin
-from service.processing.worker_pool import Job, JobPool, Result
+from service.processing.worker_pool import JobPool, Result
 
 
 @dataclass(frozen=True)
@@ -16,11 +17,11 @@ class PoolOfThisProcess:
     n_waiting: int = 0
     threads_per_job: int = 1
 
-    async def run(self, function: Callable[[Job], Result], job: Job) -> Result:
-        return function(job)
+    async def run(self, job: partial[Result]) -> Result:
+        return job()
 
-    async def run_when_idle(self, function: Callable[[Job], Result], make_job: Callable[[], Job]) -> Result:
-        return function(make_job())
+    async def run_when_idle(self, make_job: Callable[[], partial[Result]]) -> Result:
+        return make_job()()
 
 
 @asynccontextmanager

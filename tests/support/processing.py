@@ -3,16 +3,18 @@
 import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from support.outcomes import measured
 
 from pipeline.frames import BundleKind, CameraId, Trigger
 from service.calibration.drop_files import ObservedDrop
-from service.calibration.drops import DropCollector, ObserveJob
+from service.calibration.drops import OUTLINES, DropCollector, observe
 from service.processing.left_bundles import Quarantine
-from service.processing.measure_job import LearnJob, MeasuredBundle, MeasureJob, RigFile
+from service.processing.measure_job import MeasuredBundle, MeasureJob, RigFile, learn_background
 from service.processing.processing import Processing, ProcessingContext, ProcessingObserver
 from service.processing.spool import Loss, SpooledBundle
 from service.results.fields import Result, Verified
@@ -40,6 +42,10 @@ class QueueSpool:
         self.released.append(bundle)
 
 
+class Learning(SimpleNamespace):
+    """The arguments of a `learn_background`."""
+
+
 class ScriptedPool:
     """Answers at once, or when the test says so."""
 
@@ -52,20 +58,21 @@ class ScriptedPool:
         self.failures = failures or {}
         self.slots = asyncio.Semaphore(slots)
         self.unseen: dict[str, Exception] = {}
-        self.jobs: list[MeasureJob | LearnJob] = []
+        self.jobs: list[MeasureJob | Learning] = []
         self.gates: dict[str, asyncio.Event] = {}
         self.is_gated = is_gated
         self.has_job = asyncio.Event()
 
-    async def run_when_idle(self, function: Callable[[Any], Any], make_job: Callable[[], MeasureJob]) -> Any:
+    async def run_when_idle(self, make_job: Callable[[], partial[Any]]) -> Any:
         self.n_waiting += 1
         async with self.slots:
             self.n_waiting -= 1
-            return await self.run(function, make_job())
+            return await self.run(make_job())
 
-    async def run(self, function: Callable[[Any], Any], job: MeasureJob | LearnJob | ObserveJob) -> Any:
-        if isinstance(job, ObserveJob):
-            return self._observe(job.job.bundle_path.stem, job)
+    async def run(self, call: partial[Any]) -> Any:
+        if call.func is observe:
+            return self._observe(call.args[0])
+        job = Learning(**call.keywords) if call.func is learn_background else call.args[0]
         name = job.bundle_path.stem
         self.jobs.append(job)
         self.has_job.set()
@@ -73,7 +80,7 @@ class ScriptedPool:
             await self.gates.setdefault(name, asyncio.Event()).wait()
         if name in self.failures:
             raise self.failures[name]
-        if isinstance(job, LearnJob):
+        if isinstance(job, Learning):
             job.out_path.mkdir(parents=True)
             return {}
         job.out_dir.mkdir(parents=True)
@@ -84,11 +91,12 @@ class ScriptedPool:
         )
         return MeasuredBundle(record)
 
-    def _observe(self, name: str, job: ObserveJob) -> ObservedDrop:
-        job.outlines.touch()  # a process that dies may leave half a file
+    def _observe(self, job: MeasureJob) -> ObservedDrop:
+        name = job.bundle_path.stem
+        (job.out_dir / OUTLINES).touch()  # a process that dies may leave half a file
         if name in self.unseen:
             raise self.unseen[name]
-        return ObservedDrop(bundle=f"{name} {job.job.rig_file.calibration_id}")
+        return ObservedDrop(bundle=f"{name} {job.rig_file.calibration_id}")
 
 
 class ListStore:

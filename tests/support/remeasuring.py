@@ -5,6 +5,7 @@ import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +32,13 @@ class AgainPool:
     fields: dict[str, Any] = field(default_factory=dict)  # of the next records
     error: Exception | None = None  # raised instead
     jobs: list[MeasureJob] = field(default_factory=list)
-    n_started: int = 0
-    closed: asyncio.Event = field(default_factory=asyncio.Event)
+    n_rests: int = 0
+    is_closed: bool = False
 
-    async def start(self) -> None:
-        self.n_started += 1
-
-    async def run(self, function: Callable[[MeasureJob], MeasuredBundle], job: MeasureJob) -> MeasuredBundle:
+    async def run(self, call: partial[MeasuredBundle]) -> MeasuredBundle:
+        if self.is_closed:
+            raise asyncio.CancelledError
+        (job,) = call.args
         self.jobs.append(job)
         if self.error is not None:
             raise self.error
@@ -47,8 +48,11 @@ class AgainPool:
         record = measured(**made, **self.fields)
         return MeasuredBundle(record)
 
+    def rest(self) -> None:
+        self.n_rests += 1
+
     def close(self) -> None:
-        self.closed.set()
+        self.is_closed = True
 
 
 def remeasuring_of(
@@ -62,7 +66,7 @@ def remeasuring_of(
     again = folder / "again"
     jobs = Jobs(store, calibrations.rig_file_of, background, folder=again, save_silhouettes=False)
     context = WorkerContext(parameters=PipelineParameters(), is_simulated=True)
-    return Remeasuring(jobs, context, lambda: pool)
+    return Remeasuring(jobs, context, pool)
 
 
 async def add_old(

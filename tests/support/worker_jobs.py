@@ -91,7 +91,7 @@ def stumble(job: Stumble) -> str:
     return "done"
 
 
-def stay(_: None) -> None:
+def stay() -> None:
     time.sleep(60)
 
 

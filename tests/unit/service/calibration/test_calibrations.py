@@ -38,7 +38,7 @@ from service.calibration.states import (
     next_state,
 )
 from service.calibration.verifications import VerificationRequest
-from service.processing.worker_pool import JobLostError
+from service.processing.worker_slot import JobLostError
 
 
 def test_every_open_calibration_can_be_cancelled_and_requests_can_be_repeated():

@@ -20,7 +20,7 @@ from pipeline.particle import PipelineParameters
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from service.calibration.drop_files import ObservedDrop, read_drop, write_drop
-from service.calibration.drops import ObserveJob, Solved, SolveJob, observe, solve
+from service.calibration.drops import Solved, SolveJob, observe, solve
 from service.calibration.states import Method
 from service.processing import measure_job
 from service.processing.backgrounds import write_background
@@ -49,7 +49,7 @@ def observed(folder: Path, kind: BundleKind, diameters_mm: tuple[float, ...] = (
         background_path=folder / "background",
         out_dir=folder,
     )
-    return observe(ObserveJob(job, kind, diameters_mm))
+    return observe(job, kind, diameters_mm)
 
 
 def test_a_ball_is_the_one_of_two_that_it_looks_like(worker: None, tmp_path: Path):
@@ -79,7 +79,7 @@ def test_another_rig_under_the_name_is_no_measurement(worker: None, tmp_path: Pa
     )
     write_bundle(job.bundle_path, rendered.sphere_bundle(), job.camera_ids, compression="none")
     with pytest.raises(WorkerFailure, match=r"holds calibration .*, not another"):
-        observe(ObserveJob(job, BundleKind.BALL, (15.0,)))
+        observe(job, BundleKind.BALL, (15.0,))
 
 
 def solution_of(

@@ -3,9 +3,10 @@
 import asyncio
 import os
 import pickle
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from service.commands.daemon_client import DaemonClient, DaemonError
 from service.commands.remeasure import OrderingDaemon, RemeasuredIds, remeasure_on_cluster
 from service.commands.results_folder import IN_FLIGHT
 from service.processing.measure_job import MeasuredBundle, MeasureJob, RigFile, WorkerContext
-from service.processing.worker_pool import JobLostError
+from service.processing.worker_slot import JobLostError
 from service.remeasuring.orders import Order
 from service.results.fields import LossReason
 
@@ -66,14 +67,14 @@ class CountingPool(AgainPool):
     n_under_way: int = 0
     most: int = 0
 
-    async def run(self, function: Callable[[MeasureJob], MeasuredBundle], job: MeasureJob) -> MeasuredBundle:
+    async def run(self, call: partial[MeasuredBundle]) -> MeasuredBundle:
         self.n_under_way += 1
         self.most = max(self.most, self.n_under_way)
         await asyncio.sleep(0)
         self.n_under_way -= 1
-        if (error := self.errors.pop(job.bundle_path.parent.name, None)) is not None:
+        if (error := self.errors.pop(call.args[0].bundle_path.parent.name, None)) is not None:
             raise error
-        return await super().run(function, job)
+        return await super().run(call)
 
 
 @pytest.fixture

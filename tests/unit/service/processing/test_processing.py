@@ -1,13 +1,13 @@
 import asyncio
 import shutil
 import time
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-from support.processing import Bench, Desk, ScriptedPool, turn
+from support.processing import Bench, Desk, Learning, ScriptedPool, turn
 
 from drivers.errors import RecordingError
 from pipeline.frames import BundleKind
@@ -15,9 +15,9 @@ from service.calibration.drop_files import ObservedDrop
 from service.calibration.drops import DropCollector
 from service.processing.backgrounds import N_AWAITED, N_BESIDE
 from service.processing.left_bundles import LeftBundle
-from service.processing.measure_job import LearnJob, MeasureJob, RigFile
+from service.processing.measure_job import MeasureJob, RigFile
 from service.processing.spool import Loss
-from service.processing.worker_pool import JobLostError
+from service.processing.worker_slot import JobLostError
 from service.results.fields import LossReason, Result
 
 
@@ -84,7 +84,7 @@ async def test_every_job_gets_the_background_of_its_place_and_old_versions_go(tm
     assert bench.processing.background is None
     await bench.processing.run()
     assert bench.processing.background is not None
-    learnt = [job for job in bench.pool.jobs if isinstance(job, LearnJob)]
+    learnt = [job for job in bench.pool.jobs if isinstance(job, Learning)]
     assert [job.previous_path for job in learnt] == [None, complete(learnt[0])]
     used = {record["bundle"]: record["background"] for record in bench.store.records}
     assert used == {"a": None, "b": complete(learnt[0]), "c": complete(learnt[1]), "d": complete(learnt[1])}
@@ -115,10 +115,10 @@ async def test_no_stone_waits_for_a_background_when_some_are_known(tmp_path: Pat
     pool.gates[empty[-1].name].set()
     pool.gates["z"].set()
     await run
-    learnt = [complete(job) for job in pool.jobs if isinstance(job, LearnJob)]
+    learnt = [complete(job) for job in pool.jobs if isinstance(job, Learning)]
     used = [record["background"] for record in bench.store.records]
     assert used == [learnt[-3]] * (1 + N_BESIDE) + [learnt[-2]] * 3
-    assert [job.previous_path for job in pool.jobs if isinstance(job, LearnJob)] == [None, *learnt[:-1]]
+    assert [job.previous_path for job in pool.jobs if isinstance(job, Learning)] == [None, *learnt[:-1]]
     assert list_names(tmp_path) == [path.name for path in learnt[-2:]]
 
 
@@ -128,7 +128,7 @@ async def test_the_first_backgrounds_are_learnt_before_a_later_bundle_is_started
     run = asyncio.create_task(bench.processing.run())
     for _ in range(20):
         await asyncio.sleep(0)
-    assert [type(job) for job in pool.jobs] == [LearnJob]
+    assert [type(job) for job in pool.jobs] == [Learning]
     pool.is_gated = False
     pool.gates["e"].set()
     await run
@@ -153,8 +153,8 @@ async def test_failures_cost_their_own_bundle_alone(tmp_path: Path):
 
 async def test_what_failed_leaves_nothing_in_memory(tmp_path: Path):
     class Unfinished(ScriptedPool):
-        async def run(self, function: Callable[[Any], Any], job: Any) -> Any:
-            folder = job.out_path if isinstance(job, LearnJob) else job.out_dir
+        async def run(self, call: partial[Any]) -> Any:
+            folder = call.keywords.get("out_path") or call.args[0].out_dir
             folder.mkdir()
             (folder / "half").touch()
             raise JobLostError("worker_crash", "No space left on device")
@@ -257,7 +257,7 @@ async def test_drops_are_collected_in_order_and_stones_are_not(tmp_path: Path):
     assert list_names(tmp_path) == []
 
 
-def complete(job: LearnJob) -> Path:
+def complete(job: Learning) -> Path:
     """The name of what the job has learnt, once it is complete."""
     return job.out_path.with_name(job.out_path.name.replace("learning", "background"))
 
@@ -282,7 +282,7 @@ async def test_what_an_earlier_session_left_ends_there_with_the_background_of_th
     )
     await bench.processing.run()
     used = {record["bundle"]: (record["session"], record["background"]) for record in bench.store.records}
-    (learnt,) = (job for job in bench.pool.jobs if isinstance(job, LearnJob))
+    (learnt,) = (job for job in bench.pool.jobs if isinstance(job, Learning))
     assert used == {"left": (7, tmp_path / "then"), "other": (7, None), "a": (1, complete(learnt))}
     assert [bundle for _, bundle, _ in desk.collected] == ["a"]  # nobody waits for drops of then
 
@@ -313,7 +313,7 @@ async def test_a_deleted_spool_costs_the_background_and_not_the_daemon(tmp_path:
     await bench.processing.run()
     assert [name for name, _ in bench.outcomes] == ["a", "b", "c", "d"]
     *_, d = bench.store.records
-    learnt = [job for job in bench.pool.jobs if isinstance(job, LearnJob)]
+    learnt = [job for job in bench.pool.jobs if isinstance(job, Learning)]
     assert [job.previous_path for job in learnt] == [None, None]
     assert d["background"] == complete(learnt[1])
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,8 @@ from support.worker_jobs import (
     wait_for,
 )
 
-from service.processing.worker_pool import JobLostError, WorkerPool, WorkerStartError
+from service.processing.worker_pool import WorkerPool
+from service.processing.worker_slot import JobLostError, WorkerStartError
 
 
 def pool_of(slots: int, deadline_s: float = 10.0) -> WorkerPool:
@@ -31,7 +33,7 @@ def pool_of(slots: int, deadline_s: float = 10.0) -> WorkerPool:
 
 async def test_each_slot_is_one_warm_process_of_its_own():
     async with pool_of(2) as pool:
-        answers = await asyncio.gather(*(pool.run(greeting_and_pid, f"job {i}") for i in range(6)))
+        answers = await asyncio.gather(*(pool.run(partial(greeting_and_pid, f"job {i}")) for i in range(6)))
         assert [text for text, _ in answers] == [f"hello job {i}" for i in range(6)]
         assert {pid for _, pid in answers} == set(pool.pids)
         assert len(set(pool.pids)) == 2
@@ -51,7 +53,7 @@ def deadline_s(way: str) -> float:
 async def test_one_failure_costs_one_retry_in_a_fresh_process(way: str, tmp_path: Path):
     async with pool_of(1, deadline_s(way)) as pool:
         (before,) = pool.pids
-        assert await pool.run(stumble, Stumble(tmp_path, way, failures=1)) == "done"
+        assert await pool.run(partial(stumble, Stumble(tmp_path, way, failures=1))) == "done"
         first, second = noted_pids(tmp_path)
         assert first == before
         assert [second] == pool.pids
@@ -64,10 +66,10 @@ async def test_one_failure_costs_one_retry_in_a_fresh_process(way: str, tmp_path
 async def test_the_second_failure_loses_this_job_alone(way: str, tmp_path: Path):
     async with pool_of(1, deadline_s(way)) as pool:
         with pytest.raises(JobLostError) as lost:
-            await pool.run(stumble, Stumble(tmp_path, way, failures=9))
+            await pool.run(partial(stumble, Stumble(tmp_path, way, failures=9)))
         assert lost.value.reason == WAYS[way]
         assert len(noted_pids(tmp_path)) == 2
-        text, _ = await pool.run(greeting_and_pid, "again")
+        text, _ = await pool.run(partial(greeting_and_pid, "again"))
         assert text == "hello again"
 
 
@@ -76,7 +78,7 @@ async def test_the_traceback_is_for_the_journal_and_its_last_line_for_clients(
 ):
     async with pool_of(1) as pool:
         with pytest.raises(JobLostError) as lost:
-            await pool.run(stumble, Stumble(tmp_path, "raise", failures=2))
+            await pool.run(partial(stumble, Stumble(tmp_path, "raise", failures=2)))
     assert lost.value.detail == "FileNotFoundError: 3 mm/s: 'mesh.ply'"
     assert [TRACEBACK in entry.message for entry in caplog.records if entry.levelname == "ERROR"] == [
         True
@@ -89,7 +91,7 @@ async def test_a_host_without_a_free_file_is_not_taken_for_a_fault_of_the_job(tm
             notes = tmp_path / way
             notes.mkdir()
             with pytest.raises(JobLostError) as lost:
-                await pool.run(stumble, Stumble(notes, way, failures=2))
+                await pool.run(partial(stumble, Stumble(notes, way, failures=2)))
             assert lost.value.is_hosts == is_hosts
 
 
@@ -97,7 +99,7 @@ async def test_a_worker_killed_while_idle_is_replaced():
     async with pool_of(1) as pool:
         (pid,) = pool.pids
         os.kill(pid, signal.SIGKILL)
-        text, other = await pool.run(greeting_and_pid, "still here")
+        text, other = await pool.run(partial(greeting_and_pid, "still here"))
         assert text == "hello still here"
         assert other != pid
 
@@ -109,7 +111,9 @@ async def test_a_killed_fork_server_costs_retries_and_no_process_stays_behind():
         for is_with_a_worker in (False, True) * 5:
             for pid in [*fork_servers(), *pool.pids[: int(is_with_a_worker)]]:
                 os.kill(pid, signal.SIGKILL)
-            answers = await asyncio.gather(*(pool.run(greeting_and_pid, f"job {i}") for i in range(4)))
+            answers = await asyncio.gather(
+                *(pool.run(partial(greeting_and_pid, f"job {i}")) for i in range(4))
+            )
             assert [text for text, _ in answers] == [f"hello job {i}" for i in range(4)]
             before += pool.pids
         eventually(lambda: not any(process_exists(pid) for pid in set(before) - set(pool.pids)))
@@ -141,7 +145,7 @@ async def test_processes_share_what_is_to_be_compiled_and_are_renewed_while_a_jo
     renewing = asyncio.create_task(pool.renew(idle_s=0))
     while len(multiprocessing.active_children()) < 3:  # noqa: ASYNC110 - there is no event to wait for
         await asyncio.sleep(0.01)
-    job = asyncio.create_task(pool.run(wait_for, tmp_path / "go"))
+    job = asyncio.create_task(pool.run(partial(wait_for, tmp_path / "go")))
     await asyncio.sleep(0.1)
     (tmp_path / "hold").unlink()
     await asyncio.sleep(0.1)
@@ -161,7 +165,7 @@ async def test_a_process_is_renewed_when_there_is_nothing_to_measure(tmp_path: P
     renewing = asyncio.create_task(pool.renew(idle_s=PATIENCE_S))
     (tmp_path / "go").touch()
     for _ in range(8):  # closer than calm
-        await pool.run(wait_for, tmp_path / "go")
+        await pool.run(partial(wait_for, tmp_path / "go"))
         await asyncio.sleep(0.01)
         assert len(multiprocessing.active_children()) == 2
     assert pool.pids == before
@@ -179,7 +183,7 @@ async def test_a_worker_that_cannot_be_renewed_stays(tmp_path: Path):
     (tmp_path / "broken").touch()
     (tmp_path / "go").touch()
     await pool.renew(idle_s=0)
-    assert [await pool.run(wait_for, tmp_path / "go")] == before
+    assert [await pool.run(partial(wait_for, tmp_path / "go"))] == before
     pool.close()
 
 
@@ -201,7 +205,7 @@ async def test_a_worker_that_cannot_be_replaced_is_tried_until_it_can(tmp_path: 
     pool = WorkerPool(slots=1, deadline_s=PATIENCE_S, prepare=share, context=tmp_path, retry_s=0.01)
     await pool.start()
     (tmp_path / "broken").touch()
-    job = asyncio.create_task(pool.run(stumble, Stumble(notes, "kill", 1)))
+    job = asyncio.create_task(pool.run(partial(stumble, Stumble(notes, "kill", 1))))
     await soon(lambda: "failed to start 3 times" in (pool.trouble or ""))
     assert not job.done()
     (tmp_path / "broken").unlink()
@@ -209,16 +213,47 @@ async def test_a_worker_that_cannot_be_replaced_is_tried_until_it_can(tmp_path: 
     pool.close()
 
 
+async def test_processes_that_rest_come_again_with_the_next_job_and_not_after_the_end():
+    pool = WorkerPool(slots=2, deadline_s=PATIENCE_S, prepare=prepare, context="hello", rest_s=0.0)
+    pids = []
+    for number in range(2):
+        assert pool.pids == []
+        text, pid = await pool.run(partial(greeting_and_pid, f"job {number}"))
+        assert text == f"hello job {number}"
+        pids.append(pid)
+        await soon(lambda: pool.pids == [])
+    assert len(set(pids)) == 2
+    pool.close()
+    with pytest.raises(asyncio.CancelledError):
+        await pool.run(partial(greeting_and_pid, "late"))
+    assert pool.pids == []
+
+
+async def test_a_job_that_is_given_up_while_its_process_starts_leaves_none_unprepared(tmp_path: Path):
+    pool = WorkerPool(slots=1, deadline_s=PATIENCE_S, prepare=share, context=tmp_path)
+    (tmp_path / "hold").touch()
+    (tmp_path / "go").touch()
+    given_up = asyncio.create_task(pool.run(partial(wait_for, tmp_path / "go")))
+    await soon(lambda: pool.pids != [])
+    (before,) = pool.pids
+    given_up.cancel()
+    await asyncio.wait([given_up])
+    (tmp_path / "hold").unlink()
+    assert await pool.run(partial(wait_for, tmp_path / "go")) != before
+    assert {"a", "b", "c"} <= set(await asyncio.to_thread(os.listdir, tmp_path))
+    pool.close()
+
+
 async def test_what_takes_long_has_a_process_of_its_own(tmp_path: Path):
     async with pool_of(1, PATIENCE_S) as pool:
-        assert await pool.run(stumble, Stumble(tmp_path, "kill", 0)) == "done"
+        assert await pool.run(partial(stumble, Stumble(tmp_path, "kill", 0))) == "done"
     (pid,) = noted_pids(tmp_path)
     assert pid != os.getpid()
     others = set(multiprocessing.active_children())
 
     async def stay_apart() -> None:
         async with pool_of(1, 60.0) as pool:
-            await pool.run(stay, None)
+            await pool.run(partial(stay))
 
     staying = asyncio.create_task(stay_apart())
     while not (started := set(multiprocessing.active_children()) - others):  # noqa: ASYNC110 - there is no event to wait for
@@ -232,6 +267,7 @@ async def test_what_takes_long_has_a_process_of_its_own(tmp_path: Path):
 
 DAEMON = """
 import asyncio, sys
+from functools import partial
 from service.processing.worker_pool import WorkerPool
 from support.worker_jobs import prepare, stay
 
@@ -239,7 +275,7 @@ async def main():
     pool = WorkerPool(slots=2, deadline_s=60, prepare=prepare, context="hello")
     await pool.start()
     print(*pool.pids, flush=True)
-    await pool.run(stay, None)
+    await pool.run(partial(stay))
 
 if __name__ == "__main__":
     asyncio.run(main())

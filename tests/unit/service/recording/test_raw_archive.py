@@ -10,7 +10,7 @@ from support.recordings import CAMERAS, assert_same_bundle, make_bundle
 from drivers.files.bundle_file import Compression, overwrite_bundle, read_bundle
 from service.base.status import trouble_check
 from service.recording import raw_archive
-from service.recording.raw_archive import KeepJob, RawArchive, keep_frames
+from service.recording.raw_archive import RawArchive, keep_frames
 
 
 class Folder:
@@ -93,7 +93,7 @@ def test_only_to_compress_it_waits_for_an_idle_core(
         write(*args, **options)
 
     monkeypatch.setattr(raw_archive, writer, noting)
-    keep_frames(KeepJob(path, CAMERAS, tmp_path / "1" / "bundle.tiff", compression))
+    keep_frames(path, CAMERAS, tmp_path / "1" / "bundle.tiff", compression)
     assert policies == [policy]
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
     assert_same_bundle(read_bundle(tmp_path / "1" / "bundle.tiff", CAMERAS), make_bundle(1))

@@ -3,6 +3,7 @@
 import asyncio
 import json
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ async def ordered(orders: Orders, name: str) -> Path:
 async def measured_there(folder: Path, **fields: Any) -> None:
     """Do what the command does: measure what was ordered, and lay it into the order."""
     order = await asyncio.to_thread(read_order, folder)
-    done = await AgainPool().run(measure, order.job)
+    done = await AgainPool().run(partial(measure, order.job))
     await asyncio.to_thread(write_record, order, done.record.model_copy(update=fields))
 
 

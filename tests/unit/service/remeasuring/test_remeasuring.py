@@ -13,9 +13,7 @@ from support.rest import particle_files
 
 from drivers.errors import RecordingError
 from service.calibration.calibrations import Calibrations
-from service.processing import resting_pool
-from service.processing.measure_job import MeasureJob
-from service.processing.worker_pool import JobLostError
+from service.processing.worker_slot import JobLostError
 from service.remeasuring.jobs import Hindrance, RemeasureError
 from service.remeasuring.remeasuring import Remeasuring
 from service.results.fields import RUSH, LossReason
@@ -55,7 +53,6 @@ async def test_a_stone_is_measured_once_more_and_not_twice(
     assert (newest["revision"], newest["volume_mm3"]) == (2, 7.0)
     assert newest["algorithm_version"] == ALGORITHM_VERSION
     assert (await store.folder(2) / "mesh.ply").is_file()
-    assert pool.n_started == 1
 
 
 async def test_a_stone_whose_refinement_was_left_out_in_a_rush_is_refined_afterwards(
@@ -155,31 +152,13 @@ async def test_a_failure_leaves_the_result_and_the_next_stone_is_measured(
     assert await again.measure(names[1], "anna")
 
 
-async def test_the_process_ends_when_nobody_asks_and_comes_again(
-    store: Store,
-    session: int,
-    desk: Calibrations,
-    pool: AgainPool,
-    again: Remeasuring,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(resting_pool, "REST_S", 0.0)
-    for number in (1, 2):
-        name = await add_old(store, session, number, tmp_path, desk.rig_file.calibration_id)
-        assert await again.measure(name, "anna")
-        await pool.closed.wait()
-        pool.closed.clear()
-    assert pool.n_started == 2
-
-
 async def test_closing_ends_what_is_measured(
     store: Store, session: int, desk: Calibrations, pool: AgainPool, again: Remeasuring, tmp_path: Path
 ) -> None:
     name = await add_old(store, session, 1, tmp_path, desk.rig_file.calibration_id)
-    begun = asyncio.Event()
+    run, begun = pool.run, asyncio.Event()
 
-    async def hang(function: object, job: MeasureJob) -> None:
+    async def hang(call: object) -> None:
         begun.set()
         await asyncio.Event().wait()
 
@@ -188,8 +167,9 @@ async def test_closing_ends_what_is_measured(
     await begun.wait()
     again.close()
     await asking
+    pool.run = run  # type: ignore[method-assign]
     await assert_hindered(again, store, name, Hindrance.FAILED)  # and nothing begins any more
-    assert pool.n_started == 1
+    assert pool.jobs == []
 
 
 async def test_a_request_that_is_given_up_leaves_nothing_to_the_next(
@@ -198,7 +178,7 @@ async def test_a_request_that_is_given_up_leaves_nothing_to_the_next(
     name = await add_old(store, session, 1, tmp_path, desk.rig_file.calibration_id)
     run, begun = pool.run, asyncio.Event()
 
-    async def hang(function: object, job: MeasureJob) -> None:
+    async def hang(call: object) -> None:
         begun.set()
         await asyncio.Event().wait()
 
@@ -207,10 +187,9 @@ async def test_a_request_that_is_given_up_leaves_nothing_to_the_next(
     await begun.wait()
     asking.cancel()
     await asyncio.wait([asking])
-    assert pool.closed.is_set()
+    assert pool.n_rests == 1
     pool.run = run  # type: ignore[method-assign]
     assert await again.measure(name, "anna")
-    assert pool.n_started == 2
 
 
 async def test_frames_that_were_damaged_since_make_no_result_worse(
