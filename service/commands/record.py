@@ -48,8 +48,8 @@ def command(
     require_unused(out)
     recording = asyncio.run(_record(settings, out.resolve(), count))
     status = recording.status()
-    if recording.failure is not None:
-        raise ServiceError(f"{out}: {recording.failure}")
+    if status.reason is not None:
+        raise ServiceError(f"{out}: {status.reason}")
     summary = {
         "recording": str(out),
         "bundles": status.bundles,

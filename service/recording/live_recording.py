@@ -108,22 +108,24 @@ class LiveRecording:
         self.path = writer.path
         self.stones = 0
         """Stones and balls written so far."""
-        self.bundles = 0
-        """Bundles written so far, exposures of the empty rig included."""
         self.without_frames = 0
         """Bundles without any frame, which a bundle file cannot represent."""
         self.ended_by: EndedBy | None = None
-        self.failure: str | None = None
         self.closed = asyncio.Event()
-        self._made_by = writer.made_by
-        self._created_at = utc_now("seconds")
+        self._status = RecordingStatus(
+            name=self.path.name,
+            state=RecordingState.RECORDING,
+            created_at=utc_now("seconds"),
+            bundles=0,
+            bytes=0,
+            made_by=writer.made_by,
+        )
         self._writer = writer
         self._room_needed_bytes = room_needed_bytes
         self._still_wanted = count
         self._max_waiting = len(earlier) + MAX_WAITING
         self._on_free = on_free
         self._on_closed = on_closed
-        self._bytes = 0
         self._last_sequence = -1
         self._sequence_shift = 0
         self._waiting: queue.SimpleQueue[FrameBundle | EndedBy] = queue.SimpleQueue()
@@ -164,20 +166,8 @@ class LiveRecording:
             self._waiting.put(by)
 
     def status(self) -> RecordingStatus:
-        state = RecordingState.RECORDING
-        if self.closed.is_set():
-            state = RecordingState.FAILED if self.failure else RecordingState.COMPLETE
-        return RecordingStatus(
-            name=self.path.name,
-            state=state,
-            created_at=self._created_at,
-            bundles=self.bundles,
-            bytes=self._bytes,
-            stones=self.stones if state is RecordingState.RECORDING else None,
-            ended_by=self.ended_by,
-            reason=self.failure,
-            made_by=self._made_by,
-        )
+        stones = None if self.closed.is_set() else self.stones
+        return replace(self._status, stones=stones, ended_by=self.ended_by)
 
     def _in_order(self, bundle: FrameBundle) -> FrameBundle:
         """Return the bundle with a sequence number above all before: a gate may count anew during a recording."""
@@ -192,7 +182,9 @@ class LiveRecording:
         self._thread.join()  # which has nothing left to do
         if self._timer is not None:
             self._timer.cancel()
-        self.ended_by, self.failure = ended_by, failure
+        state = RecordingState.FAILED if failure else RecordingState.COMPLETE
+        self._status = replace(self._status, state=state, reason=failure)
+        self.ended_by = ended_by
         self.closed.set()
         self._on_closed(self.status())
 
@@ -204,11 +196,12 @@ class LiveRecording:
         try:
             with self._writer as writer:
                 by = self._write_bundles(writer)
-                if self.bundles == 0:
+                if self._status.bundles == 0:
                     raise RecordingError(self.path, f"nothing was recorded, it ended by {by}")
-                self._made_by = {**self._made_by, "ended_by": by, "without_frames": self.without_frames}
+                made_by = {**writer.made_by, "ended_by": by, "without_frames": self.without_frames}
+                self._status = replace(self._status, made_by=made_by)
                 document = read_json(writer.folder / "recording.json")
-                document |= {"created_at": self._created_at, "made_by": self._made_by}
+                document |= {"created_at": self._status.created_at, "made_by": made_by}
                 write_json(writer.folder / "recording.json", document)
             ended_by, failure = by, None
         except RecordingError as err:
@@ -223,8 +216,9 @@ class LiveRecording:
             if shutil.disk_usage(writer.folder).free < self._room_needed_bytes:
                 return EndedBy.LOW_DISK
             writer.add(bundle)
-            self._bytes += (writer.folder / "bundles" / f"{bundle.name}.tiff").stat().st_size
-            self.bundles += 1
+            n_bytes = (writer.folder / "bundles" / f"{bundle.name}.tiff").stat().st_size
+            before = self._status
+            self._status = replace(before, bundles=before.bundles + 1, bytes=before.bytes + n_bytes)
             self.stones += bundle.kind is not BundleKind.BACKGROUND
             self._on_free()
         return bundle

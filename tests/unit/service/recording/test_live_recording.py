@@ -169,8 +169,7 @@ async def test_a_recording_that_fails_leaves_nothing(
         recording.offer(bundle)
     recording.end(EndedBy.STOP)
     await closed(recording)
-    assert recording.failure is not None
-    assert reason in recording.failure
+    assert reason in str(recording.status().reason)
     assert recording.status().state is RecordingState.FAILED
     assert names_in(tmp_path) == []
 
@@ -185,7 +184,7 @@ async def test_an_io_error_is_a_reason_without_paths(tmp_path: Path):
     shutil.rmtree(tmp_path / unfinished)  # as if the disk were gone
     frames.may_end.set()
     await closed(recording)
-    assert recording.failure == "cannot be written: No such file or directory"
+    assert recording.status().reason == "cannot be written: No such file or directory"
     recording.offer(make_bundle(2))  # ignored
     assert names_in(tmp_path) == []
 
@@ -195,7 +194,7 @@ async def test_the_name_must_be_free_when_it_is_taken(tmp_path: Path):
     (tmp_path / "recording" / "file").touch()
     recording = live_recording(tmp_path / "recording")
     recording.start()
-    assert (await closed(recording)).failure == "exists already"
+    assert (await closed(recording)).status().reason == "exists already"
 
 
 async def test_a_gate_that_counts_anew_does_not_mix_up_the_order(tmp_path: Path):
