@@ -28,12 +28,12 @@ from service.commands.daemon_client import DaemonClient, DaemonError, Key
 from service.commands.options import Executor
 from service.commands.results_folder import IN_FLIGHT
 from service.configuration.settings import load_settings
-from service.processing.measure_job import measure
+from service.processing.measure_job import MeasureJob, measure
 from service.processing.worker_pool import JobPool
 from service.processing.worker_slot import JobLostError
 from service.remeasuring.executor import open_cluster
 from service.remeasuring.jobs import Hindrance
-from service.remeasuring.orders import MAX_OPEN, Order, read_context, read_order, write_record
+from service.remeasuring.orders import MAX_OPEN, read_context, read_order, write_record
 from service.remeasuring.remeasuring import DEADLINE_S
 from service.results.fields import Outcome
 
@@ -132,8 +132,8 @@ class OrderingDaemon:
     daemon: DaemonClient
     spool_dir: Path
 
-    async def order(self, name: str) -> tuple[str, Order] | None:
-        """Return the name of an order for a stone, and the order; None if there is nothing to measure again.
+    async def order(self, name: str) -> tuple[str, MeasureJob] | None:
+        """Return the name of an order for a stone, and the job; None if there is nothing to measure again.
 
         Raises `DaemonError` as `DaemonClient.ask` does, `UsageError` on another host, or as another user.
         """
@@ -203,10 +203,10 @@ async def _remeasure(name: str, daemon: OrderingDaemon, pool: JobPool, summary: 
         if (ordered := await daemon.order(name)) is None:
             summary.unchanged.append(name)
             return
-        order_name, order = ordered
+        order_name, job = ordered
         try:
-            measured = await pool.run(partial(measure, order.job))
-            await asyncio.to_thread(write_record, order, measured.record)
+            measured = await pool.run(partial(measure, job))
+            await asyncio.to_thread(write_record, job, measured.record)
         except FileNotFoundError as err:
             if attempt == TRIES:
                 summary.failed[name] = str(err)

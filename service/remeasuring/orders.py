@@ -10,7 +10,6 @@ import asyncio
 import json
 import pickle
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -30,27 +29,19 @@ MAX_OPEN = 1024
 ORDER, CONTEXT, RECORD = "order.pickle", "context.pickle", "record.json"
 
 
-@dataclass(frozen=True, slots=True)
-class Order:
-    """Order to measure one stone; `read_order` and `write_record` are for the cluster's side."""
-
-    job: MeasureJob
-    context: Path  # the pickled `WorkerContext` of the daemon's workers
+def read_order(folder: Path) -> MeasureJob:
+    """Return the job that was ordered in a folder, which must be trusted; like all readers for the cluster's side."""
+    return _unpickled(folder / ORDER, MeasureJob)
 
 
-def read_order(folder: Path) -> Order:
-    """Return the order in a folder, which must be trusted."""
-    return _unpickled(folder / ORDER, Order)
+def read_context(job: MeasureJob) -> WorkerContext:
+    """Return the context of the daemon's workers, which all orders of a daemon share."""
+    return _unpickled(job.out_dir.parents[1] / CONTEXT, WorkerContext)
 
 
-def read_context(order: Order) -> WorkerContext:
-    """Return the context that all orders of a daemon share."""
-    return _unpickled(order.context, WorkerContext)
-
-
-def write_record(order: Order, record: Result) -> None:
+def write_record(job: MeasureJob, record: Result) -> None:
     """Write the record of what was measured beside its files."""
-    with replacing(order.job.out_dir / RECORD) as temporary:
+    with replacing(job.out_dir / RECORD) as temporary:
         temporary.write_text(json.dumps(document_of(record)))
 
 
@@ -75,9 +66,8 @@ class Orders:
         self._n_orders += 1
         folder = self._folder / f"{self._n_orders}"
         job = await self._jobs.job_for(record, folder / "out")
-        context = self._folder / CONTEXT
         self._open[folder.name] = name
-        await asyncio.to_thread(_write, folder, Order(job, context), self._context)
+        await asyncio.to_thread(_write, folder, job, self._context)
         while len(self._open) > MAX_OPEN:
             await self._remove(next(iter(self._open)))
         return folder
@@ -105,12 +95,12 @@ class Orders:
         await asyncio.to_thread(shutil.rmtree, self._folder / order, ignore_errors=True)
 
 
-def _write(folder: Path, order: Order, context: WorkerContext) -> None:
+def _write(folder: Path, job: MeasureJob, context: WorkerContext) -> None:
     folder.mkdir(parents=True)
-    if not order.context.exists():
-        with replacing(order.context) as temporary:
+    if not (shared := folder.parent / CONTEXT).exists():
+        with replacing(shared) as temporary:
             temporary.write_bytes(pickle.dumps(context))
-    (folder / ORDER).write_bytes(pickle.dumps(order))
+    (folder / ORDER).write_bytes(pickle.dumps(job))
 
 
 def _read_record(path: Path, before: Record) -> Result:

@@ -23,7 +23,6 @@ from service.commands.remeasure import OrderingDaemon, RemeasuredIds, remeasure_
 from service.commands.results_folder import IN_FLIGHT
 from service.processing.measure_job import MeasuredBundle, MeasureJob, RigFile, WorkerContext
 from service.processing.worker_slot import JobLostError
-from service.remeasuring.orders import Order
 from service.results.fields import LossReason
 
 N_PROCESSES = 3
@@ -37,7 +36,7 @@ class FakeDaemon:
     n_ordered: int = 0
     delivered: list[str] = field(default_factory=list)
 
-    async def order(self, name: str) -> tuple[str, Order] | None:
+    async def order(self, name: str) -> tuple[str, MeasureJob] | None:
         if name.startswith("done"):
             return None
         if name.startswith("gone"):
@@ -50,7 +49,7 @@ class FakeDaemon:
             background_path=None,
             out_dir=self.folder / f"{self.n_ordered}" / "out",
         )
-        return f"{self.n_ordered}", Order(job, self.folder / "context.pickle")
+        return f"{self.n_ordered}", job
 
     async def deliver(self, name: str, order: str) -> bool:
         assert (self.folder / order / "out" / "record.json").is_file()

@@ -46,19 +46,19 @@ async def ordered(orders: Orders, name: str) -> Path:
 
 async def measured_there(folder: Path, **fields: Any) -> None:
     """Do what the command does: measure what was ordered, and lay it into the order."""
-    order = await asyncio.to_thread(read_order, folder)
-    done = await AgainPool().run(partial(measure, order.job))
-    await asyncio.to_thread(write_record, order, done.record.model_copy(update=fields))
+    job = await asyncio.to_thread(read_order, folder)
+    done = await AgainPool().run(partial(measure, job))
+    await asyncio.to_thread(write_record, job, done.record.model_copy(update=fields))
 
 
 async def test_what_was_measured_elsewhere_becomes_one_revision(
     store: Store, desk: Calibrations, again: Remeasuring, name: str
 ) -> None:
     first, second = [await ordered(again.orders, name) for _ in range(2)]  # of two commands
-    order = await asyncio.to_thread(read_order, first)
-    assert order.job.bundle_path == await store.raw_path(1)
-    assert order.job.rig_file == desk.rig_file
-    assert read_context(order).is_simulated
+    job = await asyncio.to_thread(read_order, first)
+    assert job.bundle_path == await store.raw_path(1)
+    assert job.rig_file == desk.rig_file
+    assert read_context(job).is_simulated
     before = await store.read(particle, name)
     assert before is not None
     for folder in (first, second):

@@ -1,4 +1,4 @@
-"""Measure a stone again from its archived frames; its result gets a revision."""
+"""Routes of measuring again: a stone is measured from its archived frames, and its result gets a revision."""
 
 from fastapi import APIRouter
 from pydantic import BaseModel, Field
@@ -75,3 +75,6 @@ async def order_revision(context: Context, particle_id: ParticleKey) -> Ordered:
         order=None if folder is None else folder.name,
         folder=None if folder is None else str(folder),
     )
+
+
+ROUTERS = (router,)

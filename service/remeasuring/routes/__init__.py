@@ -1,5 +1,0 @@
-"""Routes of measuring again."""
-
-from service.remeasuring.routes import revisions
-
-ROUTERS = (revisions.router,)
