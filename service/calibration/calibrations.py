@@ -177,13 +177,10 @@ class Calibrations:
                 id=await asyncio.to_thread(self._files.next_name),
                 origin="session",
                 state=CalibrationState.COLLECTING,
-                method=plan.method,
-                ball_diameters_mm=plan.ball_diameters_mm,
                 created_at=now,
                 changed_at=now,
-                by=plan.by,
-                note=plan.note,
                 initial_calibration_id=self.rig_file.calibration_id,
+                **asdict(plan),
             )
             await asyncio.to_thread(self._files.create, record)
             self._records[record.id] = record

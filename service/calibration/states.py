@@ -54,11 +54,6 @@ class CalibrationRequest:
                 f"ball_diameters_mm: method {self.method} takes {' or '.join(map(str, n_needed))} diameters,"
                 f" not {len(self.ball_diameters_mm)}"
             )
-        low_mm, high_mm = BALL_DIAMETERS_MM
-        if not all(low_mm <= each <= high_mm for each in self.ball_diameters_mm):
-            raise ValueError(
-                f"ball_diameters_mm must be in {low_mm:g}..{high_mm:g}, not {list(self.ball_diameters_mm)}"
-            )
         if len(self.ball_diameters_mm) == 2:
             small_mm, large_mm = sorted(self.ball_diameters_mm)
             if large_mm < MIN_SIZE_RATIO * small_mm:

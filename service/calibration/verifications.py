@@ -7,7 +7,7 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta
 from enum import StrEnum
 from functools import partial
@@ -210,13 +210,10 @@ class Verifications:
         verification = Verification(
             id=name,
             state=COLLECTING,
-            diameter_mm=plan.diameter_mm,
-            count=plan.count,
             calibration_id=calibration_id,
             created_at=utc_now(),
             changed_at=utc_now(),
-            by=plan.by,
-            note=plan.note,
+            **asdict(plan),
         )
         await self._keep(verification)
         self._last_ball_s = time.monotonic()
