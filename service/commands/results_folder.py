@@ -65,15 +65,13 @@ class _ResultsFolder:
         self._lines = lines
         self.records: list[dict[str, Any]] = []
 
-    async def finish(
-        self, session: int, bundle: str, record: Result, files: Mapping[str, Path] | None = None
-    ) -> int:
+    async def finish(self, session: int, bundle: str, record: Result, files: Mapping[str, Path]) -> int:
         """Write a record, and move its mesh and silhouettes to the output folder."""
         kept = document_of(record)
-        if mesh := (files or {}).get(MESH):
+        if mesh := files.get(MESH):
             kept["mesh"] = f"{MESHES}/{bundle}.ply"
             mesh.replace(self._out / kept["mesh"])
-        if silhouettes := (files or {}).get(SILHOUETTES):
+        if silhouettes := files.get(SILHOUETTES):
             folder = self._out / LABELS / bundle
             folder.mkdir(parents=True)
             for camera, labels in read_silhouettes(silhouettes).items():
@@ -123,7 +121,7 @@ def measure_all(
                     ),
                     spool=playback,
                     pool=pool,
-                    results=results,
+                    finish=results.finish,
                     calibration=FixedCalibration(rig_file),
                     observer=ProcessingObserver(
                         on_progress=lambda: progress.update(bar, completed=len(results.records))

@@ -254,7 +254,7 @@ def _build_processing(
         ),
         spool=spool,
         pool=pool,
-        results=session.store,
+        finish=session.store.finish,
         calibration=calibrations,
         observer=ProcessingObserver(
             on_progress=lambda: watches.progress.beat(Watched.PROCESSING, time.monotonic()),

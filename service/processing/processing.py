@@ -89,12 +89,8 @@ class FixedCalibration:
     verified: Verified | None = None
 
 
-class ResultSink(Protocol):
-    """Where outcomes are made durable; the store is one."""
-
-    async def finish(
-        self, session: int, bundle: str, record: Result, files: Mapping[str, Path] | None = None
-    ) -> int: ...
+Finish = Callable[[int, str, Result, Mapping[str, Path]], Awaitable[int]]
+"""Makes an outcome durable, by session and bundle, with its files; returns its number."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,7 +149,7 @@ class Processing:
         *,
         spool: BundleSource,
         pool: JobPool,
-        results: ResultSink,
+        finish: Finish,
         calibration: CalibrationInUse,
         observer: ProcessingObserver,
         quarantine: Quarantine | None = None,
@@ -161,7 +157,7 @@ class Processing:
         self._context = context
         self._spool = spool
         self._pool = pool
-        self._results = results
+        self._finish = finish
         self._calibration = calibration
         self._observer = observer
         self._jobs: set[asyncio.Task[_Outcome]] = set()
@@ -253,7 +249,7 @@ class Processing:
                     calibration_id=turn.rig_file.calibration_id,
                     is_simulated=self._context.is_simulated,
                 )
-                await self._results.finish(turn.session, bundle.name, record)
+                await self._finish(turn.session, bundle.name, record, {})
                 self._observer.on_result(record)
             case _Measured(measured, folder, keep_drop):
                 files = {path.name: path for name in RESULT_FILES if (path := folder / name).exists()}
@@ -261,7 +257,7 @@ class Processing:
                 record = measured.record
                 if (verified := self._calibration.verified) is not None:
                     record = record.model_copy(update={"verification": verified})
-                seq = await self._results.finish(turn.session, bundle.name, record, files)
+                seq = await self._finish(turn.session, bundle.name, record, files)
                 self._observer.on_result(record)
                 self._observer.on_measured(measured)
                 if keep_drop is not None:

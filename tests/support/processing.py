@@ -156,7 +156,7 @@ class Bench:
             context,
             spool=self.spool,
             pool=pool,
-            results=self.store,
+            finish=self.store.finish,
             calibration=desk or Desk(),
             observer=ProcessingObserver(
                 on_outcome=self.delays_s.append,
