@@ -15,7 +15,7 @@ killed at any moment leaves the old state or the new one. A file is written befo
 import logging
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -125,15 +125,8 @@ class CalibrationFiles:
 
     def records(self) -> list[CalibrationRecord]:
         """Read all records, oldest first; a damaged one is logged and left out."""
-        found = []
-        for path in sorted(self.folder.iterdir()):
-            if not CALIBRATION_NAME.fullmatch(path.name):
-                continue
-            try:
-                found.append(read_document(path / SESSION, CalibrationRecord))
-            except RecordingError as err:
-                log.error("calibration %s is not used: %s", path.name, err)
-        return found
+        paths = {path.name: path / SESSION for path in self.folder.iterdir()}
+        return read_numbered("calibration", paths, CalibrationRecord)
 
     def drops(self, name: str) -> Path:
         """Return the folder of the drops of a calibration, see `service.calibration.drop_files`."""
@@ -212,3 +205,14 @@ def read_document(path: Path, kind: type[Document]) -> Document:
     except ValidationError as err:
         error = err.errors()[0]
         raise RecordingError(path, f"{'.'.join(map(str, error['loc']))}: {error['msg']}") from err
+
+
+def read_numbered(what: str, paths: Mapping[str, Path], kind: type[Document]) -> list[Document]:
+    """Read the files whose names are numbers, oldest first; a damaged one is logged and left out."""
+    found = []
+    for name in sorted(filter(CALIBRATION_NAME.fullmatch, paths)):
+        try:
+            found.append(read_document(paths[name], kind))
+        except RecordingError as err:
+            log.error("%s %s is not used: %s", what, name, err)
+    return found

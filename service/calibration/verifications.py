@@ -16,13 +16,12 @@ from typing import Annotated
 
 from pydantic import Field, computed_field
 
-from drivers.errors import RecordingError
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
 from service.base.schema import ANSWER, REQUEST, Name, Remark, Time
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.drops import DropCollector
-from service.calibration.files import CALIBRATION_NAME, read_document, write_document
+from service.calibration.files import read_numbered, write_document
 from service.calibration.states import DiameterMm
 from service.calibration.verification_limits import (
     Summary,
@@ -131,17 +130,11 @@ class Verifications:
         self._writing = asyncio.Lock()
         self._last_ball_s = time.monotonic()
         folder.mkdir(parents=True, exist_ok=True)
-        for path in sorted(folder.glob("*.json")):
-            if not CALIBRATION_NAME.fullmatch(path.stem):
-                continue
-            try:
-                verification = read_document(path, Verification)
-            except RecordingError as err:
-                log.error("verification %s is not used: %s", path.stem, err)
-                continue
+        paths = {path.stem: path for path in folder.glob("*.json")}
+        for verification in read_numbered("verification", paths, Verification):
             if verification.state is COLLECTING:
                 verification = _cancelled(verification, "the daemon was restarted")
-                write_document(path, verification)
+                write_document(paths[verification.id], verification)
                 on_ended(verification)
             self._known[verification.id] = verification
 
