@@ -18,11 +18,10 @@ from drivers.files.times import utc_ago
 from drivers.inbox import EventInbox
 from drivers.interfaces import CameraLost, CameraVitals, DeviceEvent, GateLost, PlaybackEnded, TriggersLost
 from pipeline.frames import CameraId, FrameBundle, MissingReason, Trigger
-from service.acquisition.checks import rig_checks
 from service.acquisition.device_keeper import DeviceKeeper
 from service.acquisition.empty_rig import EmptyRigParameters, expose_empty_rig
 from service.acquisition.gate_watch import GateWatch
-from service.acquisition.rig_cameras import RigCameras
+from service.acquisition.rig_cameras import RigCameras, camera_checks, device_check
 from service.acquisition.shown_camera import ShownCamera
 from service.acquisition.triggers import TriggerLog, Triggers
 from service.base.status import (
@@ -36,7 +35,7 @@ from service.base.status import (
 )
 from service.bundling.assembler import BundleAssembler
 from service.bundling.frame_account import BundlingCounters
-from service.bundling.parameters import BundlingParameters
+from service.bundling.window import BundlingParameters
 
 log = logging.getLogger(__name__)
 
@@ -166,13 +165,14 @@ class Acquisition:
 
     def checks(self) -> Checks:
         """Return the checks of all devices."""
-        return rig_checks(
-            self.status(),
-            self.cameras.statuses(),
-            common_cause=self.cameras.common_cause,
+        rig, cameras = self.status(), self.cameras
+        of_cameras = camera_checks(
+            cameras.statuses(),
+            common_cause=cameras.common_cause,
             process=self._devices.camera_process(),
-            blind_triggers=self.cameras.blind_triggers,
+            blind_triggers=cameras.blind_triggers,
         )
+        return {**of_cameras, "gate": device_check(rig.gate, rig.gate_error, rig.gate_warnings)}
 
     async def run(self) -> None:
         """Arm whenever it is requested, until `stop`."""

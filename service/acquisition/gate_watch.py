@@ -8,7 +8,7 @@ from statistics import median
 
 from drivers.interfaces import TriggersLost
 from pipeline.frames import FrameBundle
-from service.bundling.parameters import BundlingParameters
+from service.bundling.window import BundlingParameters
 
 RECENT_S = 60.0
 SILENT_STONES = 3

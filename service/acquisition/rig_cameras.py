@@ -12,11 +12,20 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import LossCause
-from drivers.interfaces import Camera, CameraBack, CameraLost, DeviceEvent, EventSink, FrameLost
+from drivers.interfaces import (
+    Camera,
+    CameraBack,
+    CameraLost,
+    CameraProcessStatus,
+    DeviceEvent,
+    EventSink,
+    FrameLost,
+    ProcessState,
+)
 from pipeline.frames import CameraId, Frame, FrameBundle, Image, MissingReason
 from service.acquisition.device_keeper import DeviceKeeper, DeviceLoss
 from service.acquisition.exposure_skew import ExposureSkew
-from service.base.status import CameraStatus, DeviceState
+from service.base.status import CameraStatus, Checks, DeviceState, HealthCheck, health_check
 from service.bundling.frame_account import BundlingCounters, CameraCounters
 
 log = logging.getLogger(__name__)
@@ -32,6 +41,8 @@ REOPENED_FOR: Mapping[str, str] = {
 """Reasons of repeatedly missing frames for which the camera is opened anew, with what the operator is told."""
 MAX_MISSES = 3
 """Triggers in a row without an image after which a camera is opened anew although it answers."""
+BLIND_TRIGGERS = 3
+"""Triggers in a row without any image from which the line between gate and cameras is taken to be broken."""
 MAX_SKEW_US = 20.0
 """A pixel of fall: with more the views of a stone contradict each other."""
 FPS_OVER_S = 10.0
@@ -247,3 +258,41 @@ def _status(name: CameraId, camera: _RigCamera, skew_us: float | None) -> Camera
 
 def _miss_warning(camera: _RigCamera) -> str:
     return f"answers, but {camera.misses} images in a row could not be used ({camera.last_miss_reason})"
+
+
+def camera_checks(
+    cameras: Sequence[CameraStatus],
+    *,
+    common_cause: str | None,
+    process: CameraProcessStatus,
+    blind_triggers: int,
+) -> Checks:
+    """Return the checks of each camera, of all, and of their lines; `common_cause` says why all cameras are lost."""
+    # while the process of the cameras is silent, that is the reason for triggers without images
+    is_broken = blind_triggers >= BLIND_TRIGGERS and process.state is not ProcessState.SILENT
+    blind = f"{blind_triggers} triggers in a row without any image: look at the line from gate to cameras"
+    n_there = sum(camera.state is not DeviceState.LOST for camera in cameras)
+    of_cameras = {
+        f"camera:{camera.id}": device_check(camera.state, camera.last_error, camera.warnings)
+        for camera in cameras
+    }
+    return of_cameras | {
+        "cameras": health_check(common_cause, n_there, "cameras", fail=common_cause is not None),
+        "camera_process": health_check(
+            process.trouble,
+            process.replaced,
+            "replaced",
+            warn=process.state is ProcessState.REPLACED,
+            fail=process.state is ProcessState.SILENT,
+        ),
+        "trigger_line": health_check(
+            blind if is_broken else None, blind_triggers, "triggers", fail=is_broken
+        ),
+    }
+
+
+def device_check(state: DeviceState, error: str | None, warnings: Sequence[str]) -> HealthCheck:
+    """Check that a device is there, and that it warns of nothing."""
+    is_lost = state is DeviceState.LOST
+    detail = error if is_lost else "; ".join(warnings) or None
+    return health_check(detail, state, warn=bool(warnings), fail=is_lost)

@@ -34,8 +34,7 @@ from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, MissingRea
 from service.bundling.exposure_check import ExposureCheck, MatchedFrame
 from service.bundling.frame_account import BundlingCounters, CameraCounters, FrameAccount
 from service.bundling.missed_triggers import CounterGap, MissedTriggers
-from service.bundling.parameters import IN_VIEW_NS, BundlingParameters
-from service.bundling.window import OpenTrigger
+from service.bundling.window import IN_VIEW_NS, BundlingParameters, OpenTrigger
 
 DELIVERY_NS = 300_000_000
 """Longest delivery of a frame from its camera's thread to the assembler, on a busy machine."""

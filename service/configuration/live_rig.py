@@ -20,7 +20,7 @@ from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.base.configured_paths import ConfiguredPath, resolve_path
 from service.base.schema import require_ranges
-from service.bundling.parameters import BundlingParameters
+from service.bundling.window import BundlingParameters
 
 PortGate = TypeVar("PortGate", SerialGateSettings, ModemLineSettings)
 

@@ -10,7 +10,7 @@ from drivers.files.recording import open_recording, require_rig_of
 from drivers.files.rig_file import read_rig
 from pipeline.fall import blur_px, longest_exposure_us
 from pipeline.rig.cameras import RigCalibration
-from service.bundling.parameters import BundlingParameters
+from service.bundling.window import BundlingParameters
 from service.configuration.live_rig import LiveRigSettings
 from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings, RigSettings
 

@@ -22,7 +22,7 @@ from pipeline.fall import Fall
 from pipeline.rig.cameras import RigCalibration
 from service.base.configured_paths import ConfiguredPath
 from service.base.schema import require_ranges
-from service.bundling.parameters import BundlingParameters
+from service.bundling.window import BundlingParameters
 from service.configuration.live_rig import LiveRigSettings, Place
 
 

@@ -23,7 +23,7 @@ from service.acquisition.empty_rig import EmptyRigParameters
 from service.base.configured_paths import ConfiguredPath
 from service.base.errors import SettingsError, StoreError, VolumeModelError
 from service.base.schema import Live, require_ranges
-from service.bundling.parameters import BundlingParameters
+from service.bundling.window import BundlingParameters
 from service.calibration.verification_limits import VerificationParameters
 from service.configuration.rig_checks import rig_problems
 from service.configuration.rig_settings import BACKENDS, RigSettings

@@ -84,7 +84,7 @@ class WorkerPool:
         self._retry_s = retry_s
         self._rest_s = rest_s
         self._resting: asyncio.TimerHandle | None = None
-        self._is_closed = False
+        self.is_closed = False
         self._n_jobs = 0
         self.n_waiting = 0  # jobs for which no slot is idle
         self.restarts = 0
@@ -133,7 +133,7 @@ class WorkerPool:
         """Return the result of a job that is made once a slot is idle; a `WorkerFailure` counts as a crash.
 
         Raises `JobLostError` when it failed twice, `WorkerStartError` when the slot could not be started or rebuilt,
-        `CancelledError` when the pool is closed.
+        `CancelledError` when the pool is closed, also meanwhile.
         """
         if self._resting is not None:
             self._resting.cancel()
@@ -167,10 +167,10 @@ class WorkerPool:
                 log.warning("a worker keeps its compiler's memory: %s", err)
 
     async def _ensure_ready(self, slot: Slot) -> None:
-        if not slot.is_ready and not self._is_closed:
+        if not slot.is_ready and not self.is_closed:
             slot.kill()  # what a start that was given up has left
             await slot.start()
-        if self._is_closed:  # maybe while it started
+        if self.is_closed:  # maybe while it started
             slot.kill()
             raise asyncio.CancelledError
 
@@ -178,6 +178,8 @@ class WorkerPool:
         try:
             return await slot.run(job, self._deadline_s)
         except JobLostError as err:
+            if self.is_closed:
+                raise asyncio.CancelledError from None
             log.warning("%s; retrying in a fresh worker", err)
             await self._rebuild(slot, err)
         try:
@@ -205,7 +207,7 @@ class WorkerPool:
 
     def close(self) -> None:
         """Kill all processes for good."""
-        self._is_closed = True
+        self.is_closed = True
         self.rest()
 
     def rest(self) -> None:

@@ -1,23 +1,43 @@
-"""Jobs that measure a stone again: with its frames, its calibration, and the background in use now."""
+"""Stones measured again: each with its frames, its calibration and the background in use now, for a revision of it.
+
+A revision is one transaction: the item of the feed, the lot that the stone is in, the entry of the audit.
+"""
 
 import asyncio
+import logging
 import os
 import shutil
-from collections.abc import Callable
+import sqlite3
+from collections.abc import Callable, Mapping
 from enum import StrEnum
 from http import HTTPStatus
 from pathlib import Path
+from typing import Any
 
 from drivers.errors import RecordingError
 from drivers.files.rig_file import read_rig
+from drivers.interfaces import FrameLossReason
 from pipeline.segmentation.silhouette import FoundBy
+from pipeline.views.dropped import DropCause, DroppedView
 from service.base.errors import ProblemError, ProblemKind
-from service.processing.measure_job import MeasureJob, RigFile
-from service.results.fields import RUSH, Outcome
+from service.lots.lots import note_revised
+from service.processing.measure_job import RESULT_FILES, MeasureJob, RigFile
+from service.results.fields import RUSH, Outcome, Result
 from service.results.version import ALGORITHM_VERSION
-from service.store import Record, Store
-from service.store.particle_files import RAW, first_seq
+from service.store import Record, Store, audit
+from service.store.particle_files import RAW, drop_sources, first_seq
 from service.store.reads import particle
+from service.store.writes import add_revision
+
+log = logging.getLogger(__name__)
+
+DAMAGED = str(DroppedView(DropCause.NO_FRAME, FrameLossReason.DAMAGED))
+"""Why a view is missing whose page cannot be read."""
+NOTED = (
+    "seq", "revision", "outcome", "reason", "quality", "volume_mm3", "sieve_size_mm", "calibration_id",
+    "algorithm_version",
+)  # fmt: skip
+"""Fields of a result that the audit has before and after."""
 
 
 class Hindrance(StrEnum):
@@ -128,3 +148,48 @@ class Jobs:
             if self._background() == in_use:  # or it may have been half removed already
                 self._held = in_use, links
         return None
+
+
+async def revise(store: Store, before: Record, record: Result, folder: Path, who: str) -> bool:
+    """Revise a stone by what was measured into a folder; return False if it was revised since `before`.
+
+    Raises `RemeasureError` if frames of it were damaged since, or its files were just removed.
+    """
+    damaged = [
+        camera for camera, why in record.dropped_views.items() if why == DAMAGED and camera in before["views"]
+    ]
+    if damaged:  # a result must not become worse for that
+        raise RemeasureError(Hindrance.FAILED, f"{before['id']}: frames of {', '.join(damaged)} are damaged")
+    files = {name: path for name in RESULT_FILES if (path := folder / name).is_file()}
+    seq = await store.write(_revise, store.particles_dir, before, record, files, who)
+    if seq is not None:
+        drop_sources(files)
+        log.info("measured again id=%s seq=%d by=%s", before["id"], seq, who)
+    return seq is not None
+
+
+def _revise(
+    connection: sqlite3.Connection,
+    particles_dir: Path,
+    before: Record,
+    record: Result,
+    files: Mapping[str, Path],
+    who: str,
+) -> int | None:
+    """Add a revision and return its `seq`; None if `before` is not the stone's newest result any more."""
+
+    def noted(record: Record) -> dict[str, Any]:
+        return {field: record.get(field) for field in NOTED}
+
+    name = before["id"]
+    newest = particle(connection, name)
+    if newest is not None and newest["seq"] != before["seq"]:
+        return None
+    seq = add_revision(connection, particles_dir, name, record, files)
+    after = None if seq is None else particle(connection, seq)
+    if after is None:
+        raise RemeasureError(Hindrance.NO_FRAMES, f"the files of {name} were just removed")
+    if after["lot"] is not None:
+        note_revised(connection, after["lot"])
+    audit.note(connection, who, "particle remeasured", name, before=noted(before), after=noted(after))
+    return seq

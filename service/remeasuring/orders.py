@@ -15,8 +15,7 @@ from typing import TypeVar
 
 from drivers.files.durable import replacing
 from service.processing.measure_job import MeasureJob, WorkerContext
-from service.remeasuring.jobs import Hindrance, Jobs, RemeasureError
-from service.remeasuring.revising import revise
+from service.remeasuring.jobs import Hindrance, Jobs, RemeasureError, revise
 from service.results.fields import Result
 from service.results.record import document_of, result_of
 from service.results.version import ALGORITHM_VERSION

@@ -15,13 +15,12 @@ from functools import partial
 
 from drivers.errors import RecordingError
 from service.processing import measure_job
-from service.processing.measure_job import MeasuredBundle, MeasureJob, WorkerContext, measure
+from service.processing.measure_job import WorkerContext, measure
 from service.processing.worker_pool import REST_S, WorkerPool
 from service.processing.worker_process import WarmUp
 from service.processing.worker_slot import JobLostError, WorkerStartError
-from service.remeasuring.jobs import Hindrance, Jobs, RemeasureError
+from service.remeasuring.jobs import Hindrance, Jobs, RemeasureError, revise
 from service.remeasuring.orders import Orders
-from service.remeasuring.revising import revise
 
 DEADLINE_S = 300.0
 """Longest time for one stone: it takes 0.1 s of an idle core, but none may be idle for long."""
@@ -55,7 +54,6 @@ class Remeasuring:
         self.orders = Orders(jobs, context)
         self._turn = asyncio.Lock()
         self._pool = pool
-        self._job: asyncio.Task[MeasuredBundle] | None = None
 
     async def measure(self, name: str, who: str) -> bool:
         """Revise the stone with this id; return False if its newest result is all that today's algorithm can say.
@@ -69,32 +67,21 @@ class Remeasuring:
             out_dir = self._jobs.folder / "out"
             try:
                 job = await self._jobs.job_for(record, out_dir)
-                measured = await self._measured(job)
+                measured = await self._pool.run(partial(measure, job))
                 return await revise(self._jobs.store, record, measured.record, out_dir, who)
             except RecordingError as err:
                 raise RemeasureError(Hindrance.FAILED, f"{name}: {err.problem}") from err
             except (JobLostError, WorkerStartError) as err:
                 raise RemeasureError(Hindrance.FAILED, f"{name}: {err}") from err
+            except asyncio.CancelledError as err:
+                if self._pool.is_closed:
+                    raise RemeasureError(Hindrance.FAILED, "the daemon stops") from err
+                # the request was given up: nothing of this may get among the next one's files
+                self._pool.rest()
+                raise
             finally:
                 await asyncio.to_thread(shutil.rmtree, out_dir, ignore_errors=True)
 
     def close(self) -> None:
         """End the process, and what it measures; requests from now on are refused."""
-        if self._job is not None:
-            self._job.cancel()
         self._pool.close()
-
-    async def _measured(self, job: MeasureJob) -> MeasuredBundle:
-        """Measure in the process, which is started if it rests."""
-        self._job = asyncio.create_task(self._pool.run(partial(measure, job)))
-        try:
-            await asyncio.wait([self._job])
-            if self._job.cancelled():
-                raise RemeasureError(Hindrance.FAILED, "the daemon stops")
-            return self._job.result()
-        finally:
-            if not self._job.done():
-                # the request was given up: nothing of this may get among the next one's files
-                self._job.cancel()
-                self._pool.rest()
-            self._job = None

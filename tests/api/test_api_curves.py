@@ -10,7 +10,7 @@ from support.lots import opened, put_product, stone
 from support.outcomes import add
 from support.rest import FakeControl, ReadingThread, app_of, assert_problem, client_of
 
-from service.remeasuring.revising import revise
+from service.remeasuring.jobs import revise
 from service.store import Store
 from service.store.reads import particle
 

@@ -11,7 +11,7 @@ from pipeline.frames import CameraId, FrameBundle, GateCount, Trigger
 from service.acquisition.acquisition import Acquisition, AcquisitionParameters
 from service.acquisition.empty_rig import EmptyRigParameters
 from service.base.status import AcquisitionState, AcquisitionTarget
-from service.bundling.parameters import BundlingParameters
+from service.bundling.window import BundlingParameters
 
 CAMERAS = (CameraId("c01"), CameraId("c02"), CameraId("c03"))
 DELAY_NS = 259_400_000

@@ -8,7 +8,7 @@ from drivers.interfaces import DeviceEvent
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
 from service.bundling.assembler import BundleAssembler
 from service.bundling.frame_account import CameraCounters
-from service.bundling.parameters import BundlingParameters
+from service.bundling.window import BundlingParameters
 
 CAMERAS = tuple(CameraId(f"c{i:02d}") for i in range(1, 4))
 A, B, C = CAMERAS

@@ -34,6 +34,7 @@ class AgainPool:
     jobs: list[MeasureJob] = field(default_factory=list)
     n_rests: int = 0
     is_closed: bool = False
+    closing: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def run(self, call: partial[MeasuredBundle]) -> MeasuredBundle:
         if self.is_closed:
@@ -53,6 +54,7 @@ class AgainPool:
 
     def close(self) -> None:
         self.is_closed = True
+        self.closing.set()
 
 
 def remeasuring_of(

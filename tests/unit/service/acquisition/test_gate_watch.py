@@ -6,7 +6,7 @@ import pytest
 from drivers.interfaces import TriggersLost
 from pipeline.frames import CameraId, Frame, FrameBundle, Trigger
 from service.acquisition.gate_watch import EARLY_STONES, RECENT_S, GateWatch
-from service.bundling.parameters import BundlingParameters
+from service.bundling.window import BundlingParameters
 
 PARAMETERS = BundlingParameters()
 CAMERA = CameraId("c01")

@@ -21,7 +21,7 @@ from drivers.interfaces import TriggersLost
 from pipeline.frames import MissingReason
 from service.bundling.assembler import DELIVERY_NS, BundleAssembler
 from service.bundling.missed_triggers import MAX_ORPHANS, MAX_SINGLE, CounterGap, MissedTriggers
-from service.bundling.parameters import BundlingParameters
+from service.bundling.window import BundlingParameters
 
 
 def test_frames_wait_for_a_late_trigger_and_are_strays_without_one() -> None:

@@ -14,7 +14,7 @@ from drivers.interfaces import PlaybackEnded
 from drivers.replay.belt import Pace
 from pipeline.frames import BundleKind, FrameBundle
 from service.bundling.assembler import BundleAssembler
-from service.bundling.parameters import BundlingParameters
+from service.bundling.window import BundlingParameters
 
 
 async def pump(devices: Devices, n_in_flight: int = 2) -> tuple[list[FrameBundle], BundleAssembler]:

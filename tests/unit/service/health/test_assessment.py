@@ -12,7 +12,7 @@ from drivers.interfaces import CameraProcessStatus, ProcessState
 from pipeline.frames import CameraId
 from pipeline.rig.design import nominal_rig
 from pipeline.views.quality import ViewsParameters
-from service.acquisition.checks import rig_checks
+from service.acquisition.rig_cameras import camera_checks, device_check
 from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,
@@ -73,7 +73,8 @@ def devices(
     rig: AcquisitionStatus = ARMED, statuses: Sequence[CameraStatus] = tuple(cameras()), **state: Any
 ) -> Checks:
     healthy = {"common_cause": None, "process": CameraProcessStatus(), "blind_triggers": 0}
-    return rig_checks(rig, statuses, **{**healthy, **state})
+    of_cameras = camera_checks(statuses, **{**healthy, **state})
+    return {**of_cameras, "gate": device_check(rig.gate, rig.gate_error, rig.gate_warnings)}
 
 
 def queue(n: int, trouble: str | None = None) -> Checks:

@@ -229,6 +229,16 @@ async def test_processes_that_rest_come_again_with_the_next_job_and_not_after_th
     assert pool.pids == []
 
 
+async def test_closing_ends_what_runs(tmp_path: Path):
+    pool = pool_of(1, PATIENCE_S)
+    job = asyncio.create_task(pool.run(partial(stumble, Stumble(tmp_path, "hang", failures=1))))
+    await soon(lambda: noted_pids(tmp_path) != [])
+    pool.close()
+    await asyncio.wait([job])
+    assert job.cancelled()
+    assert (pool.pids, pool.restarts) == ([], 0)
+
+
 async def test_a_job_that_is_given_up_while_its_process_starts_leaves_none_unprepared(tmp_path: Path):
     pool = WorkerPool(slots=1, deadline_s=PATIENCE_S, prepare=share, context=tmp_path)
     (tmp_path / "hold").touch()

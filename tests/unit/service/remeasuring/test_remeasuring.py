@@ -160,7 +160,8 @@ async def test_closing_ends_what_is_measured(
 
     async def hang(call: object) -> None:
         begun.set()
-        await asyncio.Event().wait()
+        await pool.closing.wait()
+        raise asyncio.CancelledError
 
     pool.run = hang  # type: ignore[method-assign, assignment]
     asking = asyncio.create_task(assert_hindered(again, store, name, Hindrance.FAILED))

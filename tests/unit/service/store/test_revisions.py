@@ -18,8 +18,7 @@ from support.stores import folder_of
 from service.lots.lots import LotDefinition, assign, close_lot, find_lot, open_lot
 from service.lots.products import ProductDefinition, save_product
 from service.lots.stones import stones_between, stones_of_lot
-from service.remeasuring.jobs import RemeasureError
-from service.remeasuring.revising import revise
+from service.remeasuring.jobs import RemeasureError, revise
 from service.results.fields import RUSH
 from service.store import ParticleFilter, Store, open_store
 from service.store.accounting import accounting
