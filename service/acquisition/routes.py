@@ -25,23 +25,19 @@ from service.web.problems import Problem, problem_responses
 acquiring = APIRouter(prefix="/acquisition", tags=["acquisition"])
 
 
-class AcquisitionAnswer(AcquisitionStatus):
-    """State of the rig; counters begin when it is armed."""
-
-
 class AcquisitionRequest(RequestBody):
     """Request for a state of the rig."""
 
     state: AcquisitionTarget = Field(description="`armed`: measure every stone; `disarmed`: ignore them")
 
 
-@acquiring.get("", response_model=AcquisitionAnswer, dependencies=READABLE)
+@acquiring.get("", dependencies=READABLE)
 async def acquisition(context: Context) -> AcquisitionStatus:
     """Get the state of the rig: are stones being measured, and if not, why."""
     return context.control.acquisition_status()
 
 
-@acquiring.put("", response_model=AcquisitionAnswer, dependencies=OPERABLE, responses=problem_responses(409))
+@acquiring.put("", dependencies=OPERABLE, responses=problem_responses(409))
 async def set_acquisition(context: Context, wanted: AcquisitionRequest, asking: Who) -> AcquisitionStatus:
     """Arm or disarm the rig. Repeating a request changes nothing; 409 when the current state forbids it."""
     before = context.control.acquisition_status().state
@@ -60,14 +56,10 @@ SHEET_KEPT_S = 2.0
 """For so long all who ask get the same contact sheet, however many watch."""
 
 
-class CameraAnswer(CameraStatus):
-    """State of one camera; counters begin when the daemon starts, unless a field says otherwise."""
-
-
 class Cameras(BaseModel):
     """All cameras of the rig."""
 
-    items: list[CameraAnswer] = Field(description="By place in the rig")
+    items: list[CameraStatus] = Field(description="By place in the rig")
 
 
 class IdentifyRequest(RequestBody):
@@ -112,7 +104,7 @@ async def contact_sheet(context: Context) -> Response:
     return Response(jpg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
 
-@router.get("/{camera}", response_model=CameraAnswer)
+@router.get("/{camera}")
 async def camera_status(context: Context, camera: CameraName) -> CameraStatus:
     """Get the state and counters of a camera."""
     return _status_of(context, camera)

@@ -134,7 +134,7 @@ class Ne107(StrEnum):
 
 
 class AcquisitionStatus(Report):
-    """State of the rig; counters are since it was last armed."""
+    """State of the rig; counters begin when it is armed."""
 
     state: AcquisitionState = Field(
         description="State of the rig; `held`: arming was requested, and devices or the store do not allow it"
@@ -268,7 +268,7 @@ class CameraOptics(Report):
 
 
 class CameraStatus(Report):
-    """State of one camera, and its counters since the daemon started."""
+    """State of one camera; counters begin when the daemon starts, unless a field says otherwise."""
 
     id: CameraId = Field(description="Place of the camera in the rig, such as `c01`")
     state: DeviceState = Field(description="Whether it exposes, is closed, or does not answer")

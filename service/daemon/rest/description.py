@@ -63,9 +63,9 @@ KEY_PARAMETER = {
 
 
 FORMER = {
-    "AcquisitionAnswer": "Acquisition",
+    "AcquisitionStatus": "Acquisition",
     "CalibrationsAnswer": "Calibrations",
-    "CameraAnswer": "Camera",
+    "CameraStatus": "Camera",
     "RecordingsAnswer": "Recordings",
     "StandardsAnswer": "Standards",
     "VerificationsAnswer": "Verifications",

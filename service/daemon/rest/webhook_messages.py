@@ -5,8 +5,8 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from service.acquisition.routes import AcquisitionAnswer
 from service.base.schema import TIME
+from service.base.status import AcquisitionStatus
 from service.calibration.files import Activation
 from service.calibration.verification_limits import Summary
 from service.calibration.verifications import Verification
@@ -74,7 +74,7 @@ DETAILS: dict[str, tuple[dict[str, Any], Sequence[EventType]]] = {
         [EventType.VERIFICATION_ENDED],
     ),
     "AcquisitionDetails": (
-        _details("Details of `acquisition.changed`.", AcquisitionAnswer, ["state", "trouble"]),
+        _details("Details of `acquisition.changed`.", AcquisitionStatus, ["state", "trouble"]),
         [EventType.ACQUISITION_CHANGED],
     ),
     "DiaryDocument": (_schema(DiaryEntry), [EventType.DIARY_NOTED]),
