@@ -17,7 +17,7 @@ from service.calibration.verification_limits import VerificationParameters
 from service.calibration.verifications import Verification, VerificationRequest, VerificationState
 from service.web.auth import CONFIGURABLE, OPERABLE, READABLE, Who, require
 from service.web.context import ApiContext, Context
-from service.web.problems import Problem, existing, problem_responses
+from service.web.problems import existing, problem_responses
 from service.web.settings import Scope
 from service.web.version import BASE
 
@@ -83,9 +83,8 @@ async def calibration(context: Context, calibration: CalibrationName) -> Calibra
 )
 async def calibration_rig(context: Context, calibration: CalibrationName) -> FileResponse:
     """Download the rig file of a calibration, with its checksum; 404 before it is solved."""
-    path = context.part(Calibrations).rig_path(calibration)
-    if path is None:
-        raise Problem(404, "unknown-calibration", f"there is no calibration {calibration} with a rig")
+    rig_path = context.part(Calibrations).rig_path(calibration)
+    path = existing(rig_path, "calibration", f"{calibration} with a rig")
     return FileResponse(path, media_type="application/json")
 
 
@@ -160,8 +159,10 @@ VerificationName = Annotated[str, Path(pattern=r"^[0-9]{4,9}$", description="`id
 class VoidVerificationRequest(RequestBody):
     """Why a verdict counts no more."""
 
-    reason: Annotated[str, Field(min_length=1, max_length=2000)] = Field(
-        description="Why the verdict counts no more; kept with the verification"
+    reason: str = Field(
+        min_length=1,
+        max_length=2000,
+        description="Why the verdict counts no more; kept with the verification",
     )
 
 

@@ -22,7 +22,7 @@ from drivers.files.bundle_file import read_header
 from drivers.files.durable import replacing
 from drivers.files.recording import read_bundle
 from drivers.interfaces import FrameLossReason
-from pipeline.frames import BundleKind, CameraId, FrameBundle, Trigger
+from pipeline.frames import BundleKind, CameraId, Trigger
 from service.base.status import Checks, trouble_check
 
 log = logging.getLogger(__name__)
@@ -139,7 +139,7 @@ def bundles_in(folder: Path) -> set[OpenTrigger]:
     for path in folder.glob("*/*.tiff"):
         with suppress(RecordingError, ValueError):
             session = _Name.read(path.stem, int(path.parent.name)).session
-            found.add((session, FrameBundle(trigger=read_header(path).trigger, frames={}).name))
+            found.add((session, read_header(path).name))
     return found
 
 

@@ -40,10 +40,6 @@ class EndedBy(StrEnum):
     """`MAX_WAITING` bundles were waiting to be written."""
 
 
-CUT_SHORT = (EndedBy.LOW_DISK, EndedBy.SLOW_DISK)
-"""Ends that were not requested."""
-
-
 class RecordingState(StrEnum):
     """State of a live recording."""
 
@@ -84,7 +80,7 @@ class RecordingStatus:
     @property
     def is_cut_short(self) -> bool:
         """Whether it failed, or ended before it had what was requested."""
-        return self.reason is not None or self.ended_by in CUT_SHORT
+        return self.reason is not None or self.ended_by in (EndedBy.LOW_DISK, EndedBy.SLOW_DISK)
 
 
 class LiveRecording:

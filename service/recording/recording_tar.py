@@ -13,15 +13,12 @@ END = bytes(2 * tarfile.BLOCKSIZE)
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A file of the recording, and what precedes it in the tar file."""
+    """A file of the recording, and what precedes and follows it in the tar file."""
 
     path: Path
     header: bytes
     n_bytes: int
-
-    @property
-    def padding(self) -> bytes:
-        return bytes(-self.n_bytes % tarfile.BLOCKSIZE)
+    padding: bytes
 
 
 def members_of(folder: Path) -> list[Member]:
@@ -32,7 +29,8 @@ def members_of(folder: Path) -> list[Member]:
             info = tarfile.TarInfo(f"{folder.name}/{path.relative_to(folder)}")
             state = path.stat()
             info.size, info.mtime = state.st_size, int(state.st_mtime)
-            members.append(Member(path, info.tobuf(tarfile.GNU_FORMAT), info.size))
+            padding = bytes(-info.size % tarfile.BLOCKSIZE)
+            members.append(Member(path, info.tobuf(tarfile.GNU_FORMAT), info.size, padding))
     return members
 
 

@@ -214,9 +214,8 @@ def _description(place: Path) -> dict[str, Any]:
 def _entry(name: str, model: str, folder: Path) -> ModelEntry:
     place, published = _place(model, folder)
     try:
-        content = _checked(place, published)
-        description = _description(place)
         network = load_model(model, folder)
+        description = _description(place)
     except ModelError as err:
         return ModelEntry(name=name, where=str(place), problem=str(err))
     n_parameters = published.n_parameters if published else description.get("n_parameters")
@@ -225,7 +224,7 @@ def _entry(name: str, model: str, folder: Path) -> ModelEntry:
     return ModelEntry(
         name=name,
         where=str(place),
-        size_bytes=len(content),
+        size_bytes=place.stat().st_size,
         sha256=network.sha256,
         kind=network.kind,
         n_parameters=n_parameters,
