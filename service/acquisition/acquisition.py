@@ -274,7 +274,7 @@ class Acquisition:
                 case Trigger() if assembler.has_orphan_of(event):
                     self._gate_watch.note_late(time.monotonic())
                 case Trigger():
-                    count = None if assembler.has_gap else event.gate_count
+                    count = None if assembler.missed.has_gap else event.gate_count
                     (event,) = await self._triggers.record([event], count)
                 case TriggersLost():
                     log.warning("stones without an announcement count=%d: %s", event.count, event.reason)

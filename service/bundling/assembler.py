@@ -55,7 +55,7 @@ class BundleAssembler:
         self._open: deque[OpenTrigger] = deque()
         self._unmatched: list[Frame | FrameLost] = []  # waiting for their trigger
         self._lost_cameras: set[CameraId] = set()
-        self._missed = MissedTriggers(self._window_ns)
+        self.missed = MissedTriggers(self._window_ns)
         self._n_exposing = 0
         self._last_sequence = 0
         self._last_trigger: Trigger | None = None  # outside of the dead time
@@ -69,11 +69,6 @@ class BundleAssembler:
         if not self._open:
             return None
         return self._open[0].expected_ns + self._window_ns + DELIVERY_NS + self._open[0].stalled_ns
-
-    @property
-    def has_gap(self) -> bool:
-        """Whether the gate counted triggers that have no bundle yet."""
-        return self._missed.has_gap
 
     def feed(self, event: DeviceEvent) -> list[FrameBundle]:
         """Process one event; return the bundles that it finished, in the order of their triggers."""
@@ -102,7 +97,7 @@ class BundleAssembler:
                 self.counters.triggers_lost += event.count
                 due_ns = event.received_ns + self._delay_ns + self._window_ns + DELIVERY_NS
                 reason = MissingReason.DOWN if event.while_down else MissingReason.UNSEEN
-                self._missed.note_gap(CounterGap(event.received_ns, event.count, reason, due_ns))
+                self.missed.note_gap(CounterGap(event.received_ns, event.count, reason, due_ns))
             case PulseEnded():
                 for window in self._open:
                     if window.trigger.sequence == event.sequence:
@@ -123,7 +118,7 @@ class BundleAssembler:
             now_ns >= deadline_ns or self._open[0].is_complete(len(self._camera_ids))
         ):
             bundles.append(self._close(self._open.popleft()))
-        return bundles + self._unseen(self._missed.take_unseen(now_ns))
+        return bundles + self._unseen(self.missed.take_unseen(now_ns))
 
     def extend_deadlines(self, stalled_ns: int) -> None:
         """Postpone the deadlines of all open triggers: while the host stood still, frames were not delivered."""
@@ -136,16 +131,16 @@ class BundleAssembler:
         self._unmatched = []
         bundles = [self._close(window, reason) for window in self._open]
         self._open.clear()
-        return bundles + self._unseen(self._missed.take_unseen())
+        return bundles + self._unseen(self.missed.take_unseen())
 
     def has_orphan_of(self, trigger: Trigger) -> bool:
         """True when the stone is an orphan already: the announcement is late and will be ignored."""
-        return trigger.kind is not BundleKind.BACKGROUND and self._missed.has_orphan_of(trigger)
+        return trigger.kind is not BundleKind.BACKGROUND and self.missed.has_orphan_of(trigger)
 
     def _announce(self, trigger: Trigger) -> None:
         """Open a window for a trigger, unless it is an orphan already; in the dead time without frames."""
         is_orphan = self.has_orphan_of(trigger)
-        self._missed.note_announced(trigger)
+        self.missed.note_announced(trigger)
         self._last_sequence = trigger.sequence
         if is_orphan:
             self._last_trigger = trigger
@@ -209,7 +204,7 @@ class BundleAssembler:
             return False
         self.counters.orphans += 1
         trigger = self._unannounced(expected_ns - self._delay_ns)
-        self._missed.note_orphan(trigger.received_ns)
+        self.missed.note_orphan(trigger.received_ns)
         later = next((window.trigger for window in self._open if window.expected_ns > expected_ns), None)
         if later is not None:
             trigger = replace(trigger, sequence=later.sequence - 1)

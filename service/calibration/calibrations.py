@@ -48,6 +48,7 @@ from service.calibration.states import (
 )
 from service.calibration.verifications import Verification, VerificationRequest, Verifications
 from service.processing.measure_job import RigFile
+from service.processing.processing import CalibrationInUse
 from service.processing.worker_slot import JobLostError, WorkerStartError
 from service.results.fields import Result, Verified
 
@@ -99,6 +100,10 @@ class Calibrations:
         kind = BundleKind.PARTICLE if current.method == Method.STONES else BundleKind.BALL
         add = partial(self._add_drop, current.id)
         return DropCollector(kind=kind, diameters_mm=current.ball_diameters_mm, add=add)
+
+    def in_use(self) -> CalibrationInUse:
+        """Return the calibration that the next bundle is measured with, with its verdict and collector."""
+        return CalibrationInUse(self.rig_file, self.collector, self.verified)
 
     @property
     def verified(self) -> Verified:

@@ -16,7 +16,7 @@ from drivers.files.recording import Recording, playback_order, unreadable_trigge
 from drivers.files.silhouette_file import read_silhouettes
 from service.base.errors import ServiceError
 from service.processing.measure_job import MESH, SILHOUETTES, RigFile
-from service.processing.processing import FixedCalibration, Processing, ProcessingContext, ProcessingObserver
+from service.processing.processing import CalibrationInUse, Processing, ProcessingContext, ProcessingObserver
 from service.processing.spool import Loss, SpooledBundle
 from service.processing.worker_pool import JobPool
 from service.results.fields import LossReason, Result, completed
@@ -122,7 +122,7 @@ def measure_all(
                     spool=playback,
                     pool=pool,
                     finish=results.finish,
-                    calibration=FixedCalibration(rig_file),
+                    calibration=lambda: CalibrationInUse(rig_file),
                     observer=ProcessingObserver(
                         on_progress=lambda: progress.update(bar, completed=len(results.records))
                     ),

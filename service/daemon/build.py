@@ -255,7 +255,7 @@ def _build_processing(
         spool=spool,
         pool=pool,
         finish=session.store.finish,
-        calibration=calibrations,
+        calibration=calibrations.in_use,
         observer=ProcessingObserver(
             on_progress=lambda: watches.progress.beat(Watched.PROCESSING, time.monotonic()),
             on_empty_rig=watches.optics.feed_optics,

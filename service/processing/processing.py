@@ -67,22 +67,9 @@ class CollectsDrops(Protocol):
         ...
 
 
-class CalibrationInUse(Protocol):
-    """The calibration that the next bundle is measured with, and the collector of its outlines, if any."""
-
-    @property
-    def rig_file(self) -> RigFile: ...
-
-    @property
-    def collector(self) -> CollectsDrops | None: ...
-
-    @property
-    def verified(self) -> Verified | None: ...
-
-
 @dataclass(frozen=True, slots=True)
-class FixedCalibration:
-    """The same calibration for all bundles, without a collector unless one is given."""
+class CalibrationInUse:
+    """The calibration that the next bundle is measured with, its last verdict, and the collector of drops, if any."""
 
     rig_file: RigFile
     collector: CollectsDrops | None = None
@@ -150,7 +137,7 @@ class Processing:
         spool: BundleSource,
         pool: JobPool,
         finish: Finish,
-        calibration: CalibrationInUse,
+        calibration: Callable[[], CalibrationInUse],
         observer: ProcessingObserver,
         quarantine: Quarantine | None = None,
     ) -> None:
@@ -194,13 +181,14 @@ class Processing:
         await self._backgrounds.restore_if_gone()
         if (left := bundle.left) is not None:
             background = left.background or self._backgrounds.in_use
-            return _Turn(bundle, left.session, self._calibration.rig_file, None, background, ())
+            return _Turn(bundle, left.session, self._calibration().rig_file, None, background, ())
         retired = await self._backgrounds.advance(bundle.is_background)
-        collector = self._calibration.collector
+        calibration = self._calibration()
+        collector = calibration.collector
         if collector is not None and collector.kind is not bundle.trigger.kind:
             collector = None
-        session, rig_file = self._context.session, self._calibration.rig_file
-        return _Turn(bundle, session, rig_file, collector, self._backgrounds.in_use, retired)
+        session, background = self._context.session, self._backgrounds.in_use
+        return _Turn(bundle, session, calibration.rig_file, collector, background, retired)
 
     def abandon(self) -> None:
         """Stop measuring: bundles without a result are lost, reason `shutdown`, and `run` returns soon."""
@@ -255,7 +243,7 @@ class Processing:
                 files = {path.name: path for name in RESULT_FILES if (path := folder / name).exists()}
                 self._last_loss = None
                 record = measured.record
-                if (verified := self._calibration.verified) is not None:
+                if (verified := self._calibration().verified) is not None:
                     record = record.model_copy(update={"verification": verified})
                 seq = await self._finish(turn.session, bundle.name, record, files)
                 self._observer.on_result(record)

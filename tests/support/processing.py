@@ -15,7 +15,7 @@ from service.calibration.drop_files import ObservedDrop
 from service.calibration.drops import OUTLINES, DropCollector, observe
 from service.processing.left_bundles import Quarantine
 from service.processing.measure_job import MeasuredBundle, MeasureJob, RigFile, learn_background
-from service.processing.processing import Processing, ProcessingContext, ProcessingObserver
+from service.processing.processing import CalibrationInUse, Processing, ProcessingContext, ProcessingObserver
 from service.processing.spool import Loss, SpooledBundle
 from service.results.fields import Result, Verified
 from service.results.record import document_of
@@ -103,11 +103,9 @@ class ListStore:
     def __init__(self) -> None:
         self.records: list[Mapping[str, Any]] = []
 
-    async def finish(
-        self, session: int, bundle: str, record: Result, files: Mapping[str, Path] | None = None
-    ) -> int:
+    async def finish(self, session: int, bundle: str, record: Result, files: Mapping[str, Path]) -> int:
         assert record.bundle == bundle
-        self.records.append({**document_of(record), "session": session, "files": dict(files or {})})
+        self.records.append({**document_of(record), "session": session, "files": dict(files)})
         return len(self.records)
 
 
@@ -119,6 +117,9 @@ class Desk:
     kind: BundleKind | None = None
     verified: Verified | None = None
     collected: list[tuple[ObservedDrop, str, bool]] = field(default_factory=list)
+
+    def in_use(self) -> CalibrationInUse:
+        return CalibrationInUse(self.rig_file, self.collector, self.verified)
 
     @property
     def collector(self) -> DropCollector | None:
@@ -157,7 +158,7 @@ class Bench:
             spool=self.spool,
             pool=pool,
             finish=self.store.finish,
-            calibration=desk or Desk(),
+            calibration=(desk or Desk()).in_use,
             observer=ProcessingObserver(
                 on_outcome=self.delays_s.append,
                 on_progress=self.on_progress,

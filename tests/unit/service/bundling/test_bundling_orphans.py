@@ -149,9 +149,9 @@ def test_what_fell_while_no_daemon_ran_says_so_unless_the_cameras_saw_it() -> No
     feed_all(assembler, [frame(camera, 0, DELAY_NS) for camera in CAMERAS])  # armed before the gate
     gap = TriggersLost(received_ns=1000 * MS, count=3, reason="gap", while_down=True)
     feed_all(assembler, [gap])
-    assert assembler.has_gap
+    assert assembler.missed.has_gap
     bundles = assembler.advance(1000 * MS + DELAY_NS + WINDOW_NS + DELIVERY_NS)
-    assert not assembler.has_gap
+    assert not assembler.missed.has_gap
     assert [set(bundle.missing.values()) for bundle in bundles] == [{"down"}, {"down"}]
     assert (assembler.counters.orphans, assembler.counters.unseen) == (1, 2)
 
