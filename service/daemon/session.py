@@ -13,7 +13,8 @@ from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.calibration.startup import CalibrationsAtStart, load_calibrations
 from service.configuration.settings import Settings
-from service.processing.left_bundles import LeftBundle, Quarantine, bundles_in, take_over
+from service.processing.left_bundles import Quarantine, bundles_in, take_over
+from service.processing.spool import LeftBundle
 from service.results.fields import LossReason
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store

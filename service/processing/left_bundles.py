@@ -13,7 +13,6 @@ import logging
 import shutil
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -22,8 +21,9 @@ from drivers.files.bundle_file import read_header
 from drivers.files.durable import replacing
 from drivers.files.recording import read_bundle
 from drivers.interfaces import FrameLossReason
-from pipeline.frames import BundleKind, CameraId, Trigger
+from pipeline.frames import BundleKind, CameraId
 from service.base.status import Checks, trouble_check
+from service.processing.spool import LEFT, LEFT_BACKGROUND, LeftBundle, remove_backgrounds
 
 log = logging.getLogger(__name__)
 
@@ -31,14 +31,10 @@ MAX_DEATHS = 3
 """Daemons that may end over a bundle; systemd starts the fifth one at most."""
 MAX_BUNDLES = 20
 """Files in quarantine, 21 MB each; the first ones, as a cause that comes again and again looks alike."""
-PREFIX = "left-"
 JOB = "job-"
 """Before a bundle's name in the name of its job's folder, which a worker creates when it begins."""
 BACKGROUND = "background-"
 """Begins the name of a complete background model's folder; those of a session are in the order of their names."""
-
-LEFT_BACKGROUND = PREFIX + "{}-background"
-"""Name of the folder of a background that another session learnt, by its number."""
 
 OpenTrigger = tuple[int, str]
 """A trigger without an outcome: its session, and the name of its bundle."""
@@ -75,17 +71,6 @@ class Quarantine:
         return {"quarantine": trouble_check(trouble, len(bundles), "bundles")}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LeftBundle:
-    """A complete bundle of an earlier session, in the folder of this one."""
-
-    session: int
-    trigger: Trigger
-    name: str
-    path: Path
-    background: Path | None  # the newest that its session had learnt
-
-
 class _Name(NamedTuple):
     """Parts of a file's name in the folder of a session."""
 
@@ -95,13 +80,13 @@ class _Name(NamedTuple):
 
     @classmethod
     def read(cls, stem: str, session: int) -> Self:
-        if not stem.startswith(PREFIX):
+        if not stem.startswith(LEFT):
             return cls(session, 0, stem)
-        left_by, deaths, file = stem.removeprefix(PREFIX).split("-", 2)
+        left_by, deaths, file = stem.removeprefix(LEFT).split("-", 2)
         return cls(int(left_by), int(deaths), file)
 
     def __str__(self) -> str:
-        return f"{PREFIX}{self.session}-{self.deaths}-{self.file}"
+        return f"{LEFT}{self.session}-{self.deaths}-{self.file}"
 
 
 def take_over(
@@ -143,20 +128,9 @@ def bundles_in(folder: Path) -> set[OpenTrigger]:
     return found
 
 
-def is_left(path: Path) -> bool:
-    """True for a file of an earlier session."""
-    return path.name.startswith(PREFIX)
-
-
 def job_folder(path: Path) -> str:
     """Return the name of the folder that the worker of a bundle's file writes to."""
     return JOB + path.stem
-
-
-def remove_backgrounds(own: Path) -> None:
-    """Remove the backgrounds of earlier sessions, when nothing is left to be measured with them."""
-    for path in own.glob(LEFT_BACKGROUND.format("*")):
-        _remove(path)
 
 
 def _taken(
@@ -192,7 +166,7 @@ def _taken(
         session=name.session,
         trigger=bundle.trigger,
         name=bundle.name,
-        path=path.rename(own / f"{name}.tiff"),
+        content=path.rename(own / f"{name}.tiff"),
         background=background if background.exists() else None,
     )
 

@@ -28,7 +28,7 @@ from service.processing.measure_job import (
     learn_background,
     measure,
 )
-from service.processing.spool import Loss, SpooledBundle
+from service.processing.spool import LeftBundle, Loss, SpooledBundle
 from service.processing.worker_pool import JobPool
 from service.processing.worker_slot import JobLostError
 from service.results.fields import LossReason, Result, Verified
@@ -179,9 +179,9 @@ class Processing:
     async def _turn(self, bundle: SpooledBundle) -> _Turn:
         """Begin the turn of a bundle; it waits for the background that it needs."""
         await self._backgrounds.restore_if_gone()
-        if (left := bundle.left) is not None:
-            background = left.background or self._backgrounds.in_use
-            return _Turn(bundle, left.session, self._calibration().rig_file, None, background, ())
+        if isinstance(bundle, LeftBundle):
+            background = bundle.background or self._backgrounds.in_use
+            return _Turn(bundle, bundle.session, self._calibration().rig_file, None, background, ())
         retired = await self._backgrounds.advance(bundle.is_background)
         calibration = self._calibration()
         collector = calibration.collector
@@ -210,7 +210,7 @@ class Processing:
             else:
                 outcome = job.result()
             seq = await self._commit(turn, outcome, tasks)
-            if bundle.left is None and not bundle.is_background:
+            if not isinstance(bundle, LeftBundle) and not bundle.is_background:
                 self._observer.on_outcome((time.monotonic_ns() - bundle.trigger.received_ns) / 1e9)
             await self._spool.release(bundle, seq)
             self._observer.on_progress()

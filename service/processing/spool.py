@@ -9,6 +9,7 @@ A lost bundle keeps its place in the order, without a file. Bundles that an earl
 
 import asyncio
 import logging
+import shutil
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -19,13 +20,16 @@ from pathlib import Path
 from drivers.files.bundle_file import overwrite_bundle
 from pipeline.frames import BundleKind, CameraId, FrameBundle, MissingReason, Trigger
 from service.base.status import Checks, health_check
-from service.processing.left_bundles import LeftBundle, is_left, remove_backgrounds
 from service.results.fields import LossReason
 
 log = logging.getLogger(__name__)
 
 MAX_LOSSES = 50_000
 """Most losses that wait for a store that is held, 0.5 kB each: three hours of stones. Later ones are one a reason."""
+LEFT = "left-"
+"""Begins the name of what another session left; those of this one's files are numbers."""
+LEFT_BACKGROUND = LEFT + "{}-background"
+"""Name of the folder of a background that another session learnt, by its number."""
 SPARE_FILES = 4
 """Free files that are kept to be written over: fresh memory of tmpfs costs 7 ms a bundle."""
 RECENT_S = 60.0
@@ -47,11 +51,19 @@ class SpooledBundle:
     trigger: Trigger
     name: str
     content: Path | Loss
-    left: LeftBundle | None = None  # of an earlier session
 
     @property
     def is_background(self) -> bool:
         return self.trigger.kind is BundleKind.BACKGROUND
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeftBundle(SpooledBundle):
+    """A complete bundle of an earlier session, in the folder of this one."""
+
+    content: Path
+    session: int
+    background: Path | None  # the newest that its session had learnt
 
 
 class BundleFiles:
@@ -75,7 +87,9 @@ class BundleFiles:
 
     async def give_back(self, path: Path) -> None:
         """Take back a file that is no longer read, which may be gone, to be written over by a later bundle."""
-        is_of_earlier = is_left(path)  # its name must not become another bundle's, and it had no place
+        is_of_earlier = path.name.startswith(
+            LEFT
+        )  # its name must not become another bundle's, and it had no place
         if not is_of_earlier and len(self._spare) < SPARE_FILES:
             self._spare.append(path)
         else:
@@ -117,8 +131,7 @@ class Spool:
         self._troubles: dict[str, tuple[str, float]] = {}
         """By kind of trouble what was the last, and when."""
         for each in left:
-            bundle = SpooledBundle(trigger=each.trigger, name=each.name, content=each.path, left=each)
-            self._ready.put_nowait(bundle)
+            self._ready.put_nowait(each)
 
     @property
     def trouble(self) -> str | None:
@@ -178,7 +191,7 @@ class Spool:
             self._files.on_free()
             return
         self.n_queued -= 1
-        if bundle.left is not None:
+        if isinstance(bundle, LeftBundle):
             self._n_left -= 1
             if self._n_left == 0:
                 await asyncio.to_thread(remove_backgrounds, bundle.content.parent)
@@ -237,6 +250,12 @@ class Spool:
 
     def _note(self, kind: str, trouble: str) -> None:
         self._troubles[kind] = trouble, time.monotonic()
+
+
+def remove_backgrounds(folder: Path) -> None:
+    """Remove the backgrounds of earlier sessions, when nothing is left to be measured with them."""
+    for path in folder.glob(LEFT_BACKGROUND.format("*")):
+        shutil.rmtree(path, ignore_errors=True)
 
 
 def _loss_without_frames(bundle: FrameBundle) -> Loss:

@@ -12,12 +12,12 @@ from service.base.status import trouble_check
 from service.processing.left_bundles import (
     MAX_BUNDLES,
     MAX_DEATHS,
-    LeftBundle,
     Quarantine,
     bundles_in,
     job_folder,
     take_over,
 )
+from service.processing.spool import LeftBundle
 
 CAMERAS = (CameraId("c01"), CameraId("c02"))
 
@@ -67,7 +67,7 @@ def test_bundles_of_open_triggers_are_taken_over_in_their_order(spool: Spool) ->
     assert spool.take_over(5, (3, "b"), (4, "a"), (4, "never written"), (4, "b")) == [(4, "a"), (4, "b")]
     assert spool.names(5) == ["left-4-0-00000001.tiff", "left-4-0-00000002.tiff"]
     assert [bundle.trigger.sequence for bundle in spool.left] == [2, 1]
-    assert [read_bundle(bundle.path, CAMERAS).name for bundle in spool.left] == ["a", "b"]
+    assert [read_bundle(bundle.content, CAMERAS).name for bundle in spool.left] == ["a", "b"]
 
 
 def test_what_is_left_of_several_sessions_keeps_its_session(spool: Spool) -> None:
@@ -118,7 +118,7 @@ def test_a_bundle_that_ends_every_daemon_is_given_up(spool: Spool) -> None:
         assert (1, "poison") in ((bundle.session, bundle.name) for bundle in spool.left) or session == 2
         (path.parent / job_folder(path)).mkdir()  # a worker had it when the daemon ended
         taken = spool.take_over(session, (1, "innocent"), (1, "poison"))
-        path = spool.left[-1].path
+        path = spool.left[-1].content
     assert taken == [(1, "innocent")]
     assert spool.quarantine.checks() == {
         "quarantine": trouble_check("no worker survived 1-poison.tiff", 1, "bundles")

@@ -14,9 +14,8 @@ from pipeline.frames import BundleKind
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.drops import DropCollector
 from service.processing.backgrounds import N_AWAITED, N_BESIDE
-from service.processing.left_bundles import LeftBundle
 from service.processing.measure_job import MeasureJob, RigFile
-from service.processing.spool import Loss
+from service.processing.spool import LeftBundle, Loss
 from service.processing.worker_slot import JobLostError
 from service.results.fields import LossReason, Result
 
@@ -44,8 +43,7 @@ async def test_results_are_committed_in_trigger_order_whichever_is_ready_first(t
 async def test_each_outcome_tells_its_delay_but_not_that_of_an_earlier_daemon(tmp_path: Path):
     before_s = time.monotonic()
     trigger, path = turn("b").trigger, tmp_path / "b.tiff"
-    left = LeftBundle(session=0, trigger=trigger, name="b", path=path, background=None)
-    stale = replace(turn("b"), left=left)
+    stale = LeftBundle(session=0, trigger=trigger, name="b", content=path, background=None)
     lost = turn("c", loss=Loss(reason="queue_full", detail=""))
     bench = Bench(tmp_path, [turn("e", kind=BundleKind.BACKGROUND), turn("a"), stale, lost], ScriptedPool())
     await bench.processing.run()
@@ -264,15 +262,12 @@ def complete(job: Learning) -> Path:
 
 async def test_what_an_earlier_session_left_ends_there_with_the_background_of_then(tmp_path: Path):
     left, other = (
-        replace(
-            turn(name),
-            left=LeftBundle(
-                session=7,
-                trigger=turn(name).trigger,
-                name=name,
-                path=Path(f"{name}.tiff"),
-                background=background,
-            ),
+        LeftBundle(
+            session=7,
+            trigger=turn(name).trigger,
+            name=name,
+            content=Path(f"{name}.tiff"),
+            background=background,
         )
         for name, background in (("left", tmp_path / "then"), ("other", None))
     )
