@@ -1,5 +1,6 @@
 """Routes of the acquisition, which arm and disarm the rig, and of its cameras, live."""
 
+import logging
 from dataclasses import asdict
 from typing import Any
 
@@ -8,6 +9,7 @@ from fastapi.responses import Response
 from pydantic import BaseModel, Field
 
 from drivers.errors import CameraUnavailableError
+from service.acquisition.acquisition import Acquisition
 from service.acquisition.pictures import (
     SHEET_COLUMNS,
     SHEET_TILE_PX,
@@ -22,6 +24,8 @@ from service.web.context import ApiContext, Context
 from service.web.parameters import CameraName
 from service.web.problems import Problem, problem_responses
 
+log = logging.getLogger(__name__)
+
 acquiring = APIRouter(prefix="/acquisition", tags=["acquisition"])
 
 
@@ -34,18 +38,19 @@ class AcquisitionRequest(RequestBody):
 @acquiring.get("", dependencies=READABLE)
 async def acquisition(context: Context) -> AcquisitionStatus:
     """Get the state of the rig: are stones being measured, and if not, why."""
-    return context.control.acquisition_status()
+    return context.part(AcquisitionStatus)
 
 
 @acquiring.put("", dependencies=OPERABLE, responses=problem_responses(409))
 async def set_acquisition(context: Context, wanted: AcquisitionRequest, asking: Who) -> AcquisitionStatus:
     """Arm or disarm the rig. Repeating a request changes nothing; 409 when the current state forbids it."""
-    before = context.control.acquisition_status().state
-    state = await context.control.set_acquisition(wanted.state)
+    rig = context.part(Acquisition)
+    before, state = rig.state, rig.request(wanted.state)
+    log.info("acquisition requested target=%s state=%s", wanted.state, state)
     await context.store.note_change(
         asking, f"acquisition {wanted.state}", "rig", before={"state": before}, after={"state": state}
     )
-    return context.control.acquisition_status()
+    return rig.status()
 
 
 router = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=READABLE)
@@ -95,7 +100,8 @@ async def contact_sheet(context: Context) -> Response:
     """Return the latest frames of all cameras as one picture, made once for all who ask at about the same time."""
 
     async def make() -> bytes:
-        images = [context.control.latest_image(status.id) for status in context.control.cameras()]
+        latest = context.part(Acquisition).cameras.latest_image
+        images = [latest(status.id) for status in context.control.cameras()]
         return await context.reading.run(
             contact_sheet_jpg, [None if image is None else subsampled(image) for image in images]
         )
@@ -115,7 +121,7 @@ async def camera_status(context: Context, camera: CameraName) -> CameraStatus:
 )
 async def snapshot(context: Context, camera: CameraName) -> Response:
     """Get the latest frame of a camera; 404 `not-kept` before the first."""
-    image = context.control.latest_image(_status_of(context, camera).id)
+    image = context.part(Acquisition).cameras.latest_image(_status_of(context, camera).id)
     if image is None:
         raise Problem(404, "not-kept", f"camera {camera} has delivered no frame yet")
     png = await context.reading.run(snapshot_png, image)
@@ -134,9 +140,10 @@ async def identify_camera(
     """
     name = _status_of(context, camera).id
     try:
-        vitals = await context.control.show_camera(name, wanted.seconds)
+        vitals = await context.part(Acquisition).show_camera(name, wanted.seconds)
     except CameraUnavailableError as err:
         raise Problem(503, "camera-unavailable", str(err), cause=err.cause) from err
+    log.info("camera shown camera=%s for_s=%g", name, wanted.seconds)
     after = {"seconds": wanted.seconds, "serial": vitals.serial}
     await context.store.note_change(asking, "camera identified", name, after=after)
     return {"id": name, "seconds": wanted.seconds, **asdict(vitals)}

@@ -9,6 +9,7 @@ from pydantic import BaseModel, Field
 
 from pipeline.gradation.control_chart import control_chart
 from service.base.schema import TIME, Name, RequestBody
+from service.base.status import AcquisitionStatus
 from service.calibration.calibrations import Calibrations
 from service.calibration.drop_files import CalibrationDocument
 from service.calibration.files import Activation, CalibrationSummary
@@ -63,7 +64,7 @@ async def start_calibration(
     """
     control = context.control
     known = control.part(Calibrations)
-    record = await known.start(wanted, control.acquisition_status().state)
+    record = await known.start(wanted, control.part(AcquisitionStatus).state)
     await context.store.note_change(asking, "calibration opened", record.id, after=asdict(record))
     response.headers["Location"] = f"{BASE}/calibrations/{record.id}"
     return known.summary(record)
@@ -214,7 +215,7 @@ async def start_verification(
     verdict has the kind `ball`. A failed verification puts the rig *out of specification*; it keeps measuring.
     """
     control = context.control
-    verification = await control.part(Calibrations).verify(wanted, control.acquisition_status().state)
+    verification = await control.part(Calibrations).verify(wanted, control.part(AcquisitionStatus).state)
     await context.store.note_change(
         asking, "verification begun", verification.id, after=_audited(verification)
     )

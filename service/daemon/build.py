@@ -3,10 +3,7 @@
 import asyncio
 import logging
 import time
-from collections import deque
 from dataclasses import asdict
-
-from prometheus_client import Histogram
 
 from pipeline.frames import FrameBundle
 from pipeline.rig.cameras import RigCalibration
@@ -18,11 +15,11 @@ from service.configuration.segmentation_settings import plan_segmenter
 from service.daemon.alarming import acquisition_changed, verification_ended
 from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import LoopWatch
+from service.daemon.overview.result_delays import ResultDelays
 from service.daemon.parts import parts_of
 from service.daemon.reloading import Configuration
-from service.daemon.rest.routes.metrics import result_delays
 from service.daemon.retaining import Retaining
-from service.daemon.running_daemon import N_LATEST, Daemon, Watches
+from service.daemon.running_daemon import Daemon, Watches
 from service.daemon.session import Session, begin_session
 from service.daemon.stopping import StopRequests
 from service.delivery.file_drop import open_file_drop
@@ -86,8 +83,8 @@ async def build(configured: Configuration, store: Store, reading: Reading, reque
         context=worker_context,
         retry_s=WORKER_RETRY_S,
     )
-    delays, latest_delays_s = result_delays(), deque[float](maxlen=N_LATEST)
-    processing = _build_processing(session, watches, calibrations, spool, pool, delays, latest_delays_s)
+    delays = ResultDelays()
+    processing = _build_processing(session, watches, calibrations, spool, pool, delays)
     again = Jobs(
         store,
         calibrations.rig_file_of,
@@ -111,7 +108,6 @@ async def build(configured: Configuration, store: Store, reading: Reading, reque
         pool=pool,
         processing=processing,
         delays=delays,
-        latest_delays_s=latest_delays_s,
         remeasuring=Remeasuring(again, worker_context, new_pool(worker_context)),
         retaining=retaining,
         alarms=await open_alarms(store, session.events),
@@ -222,8 +218,7 @@ def _build_processing(
     calibrations: Calibrations,
     spool: Spool,
     pool: WorkerPool,
-    delays: Histogram,
-    latest_delays_s: deque[float],
+    delays: ResultDelays,
 ) -> Processing:
     settings, belt = session.settings, session.devices.belt
     optics = settings.rig.optical_settings
@@ -231,11 +226,6 @@ def _build_processing(
     def on_result(record: Result) -> None:
         for watch in (watches.rig, watches.optics, watches.refinement):
             watch.feed(record)
-
-    def on_outcome(delay_s: float) -> None:
-        if belt is None:  # a replay has a clock of its own
-            delays.observe(delay_s)
-            latest_delays_s.append(delay_s)
 
     return Processing(
         ProcessingContext(
@@ -261,7 +251,8 @@ def _build_processing(
             on_empty_rig=watches.optics.feed_optics,
             on_result=on_result,
             on_measured=watches.segmentation.feed,
-            on_outcome=on_outcome,
+            # a replay has a clock of its own
+            on_outcome=delays.note if belt is None else lambda delay_s: None,
         ),
         quarantine=session.quarantine,
     )

@@ -1,26 +1,13 @@
 """The parts of the running daemon, and what the REST interface, the watchdog and `systemctl status` ask of them."""
 
-import logging
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from functools import partial
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
 
-from prometheus_client import Histogram
-
-from drivers.interfaces import CameraVitals
-from pipeline.frames import CameraId, Image
 from service.acquisition.acquisition import Acquisition
-from service.base.status import (
-    AcquisitionState,
-    AcquisitionStatus,
-    AcquisitionTarget,
-    CameraStatus,
-    ConfigurationState,
-    Health,
-)
+from service.base.status import AcquisitionStatus, CameraStatus, ConfigurationState, Health
 from service.calibration.calibrations import Calibrations
 from service.calibration.verifications import VerificationState
 from service.configuration.settings import Settings
@@ -28,6 +15,7 @@ from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
 from service.daemon.diagnostics.inputs import Inputs
 from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import LoopWatch
+from service.daemon.overview.result_delays import ResultDelays
 from service.daemon.part import Part
 from service.daemon.reloading import Configuration
 from service.daemon.retaining import Retaining
@@ -54,12 +42,7 @@ from service.results.fields import Verified
 from service.store.checks import free_bytes
 from service.web.key_ring import KeyRing
 
-log = logging.getLogger(__name__)
-
 T = TypeVar("T")
-
-N_LATEST = 100
-"""Outcomes whose delays are remembered one by one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,8 +76,7 @@ class Daemon:
     retaining: Retaining
     alarms: Alarms
     webhooks: Webhooks
-    delays: Histogram
-    latest_delays_s: deque[float]
+    delays: ResultDelays
     parts: list[Part] = field(default_factory=list)
     """In the order in which they start."""
 
@@ -104,21 +86,19 @@ class Daemon:
 
     def part(self, kind: type[T]) -> T:
         states: Mapping[type, Callable[[], object]] = {
+            AcquisitionStatus: self.acquisition.status,
+            ConfigurationState: lambda: self.configured.state,
             Facts: self.facts,
+            Health: self.health,
             Inputs: partial(diagnostic_inputs, self.settings),
             LotsSettings: lambda: self.settings.lots,
             RigStanding: partial(rig_standing, self.calibrations),
+            Settings: lambda: self.settings,
         }
         if kind in states:
             return cast("T", states[kind]())
-        parts = (self.recordings, self.calibrations, self.alarms, self.remeasuring, self.webhooks)
+        parts = (getattr(self, each.name) for each in fields(self))
         return next(part for part in parts if isinstance(part, kind))
-
-    def configuration(self) -> dict[str, Any]:
-        return self.settings.model_dump(mode="json")
-
-    def configuration_state(self) -> ConfigurationState:
-        return self.configured.state
 
     async def apply(self, old: Settings, new: Settings) -> None:
         """Put the settings that need no restart into the parts that work with them; `lots` is read from the settings.
@@ -133,14 +113,6 @@ class Daemon:
         for part in self.parts:
             part.use(new)
 
-    def acquisition_status(self) -> AcquisitionStatus:
-        return self.acquisition.status()
-
-    async def set_acquisition(self, target: AcquisitionTarget) -> AcquisitionState:
-        state = self.acquisition.request(target)
-        log.info("acquisition requested target=%s state=%s", target, state)
-        return state
-
     def cameras(self) -> list[CameraStatus]:
         scores, optics = self.watches.rig.scores(), self.watches.optics.optics()
         findings = (*self.watches.rig.findings(), *self.watches.optics.findings())
@@ -151,14 +123,6 @@ class Daemon:
             )
             for status in self.acquisition.cameras.statuses()
         ]
-
-    async def show_camera(self, camera: CameraId, seconds: float) -> CameraVitals:
-        vitals = await self.acquisition.show_camera(camera, seconds)
-        log.info("camera shown camera=%s for_s=%g", camera, seconds)
-        return vitals
-
-    def latest_image(self, camera: CameraId) -> Image | None:
-        return self.acquisition.cameras.latest_image(camera)
 
     def health(self) -> Health:
         return assess(

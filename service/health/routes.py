@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 
 from service.base.language import Language
 from service.base.schema import RequestBody, adds_to
-from service.base.status import CheckStatus, HealthCheck, Ne107
+from service.base.status import CheckStatus, Health, HealthCheck, Ne107
 from service.health.alarms.alarm import ANNOUNCED, Alarm, AlarmState
 from service.health.alarms.alarms import Alarms, history
 from service.health.alarms.machine import MAX_SHELVED_S
@@ -73,7 +73,7 @@ async def live() -> Live:
 @router.get("/ready", response_model=Ready)
 async def ready(context: Context) -> Ready:
     """Check that stones can be measured: 200, otherwise 503 with the reasons. Needs no key."""
-    health = context.control.health()
+    health = context.part(Health)
     if not health.ready:
         detail = "; ".join(health.reasons) or "no reason given"
         raise Problem(503, "not-ready", detail, reasons=list(health.reasons))
@@ -83,7 +83,7 @@ async def ready(context: Context) -> Ready:
 @router.get("", response_model=HealthDocument, dependencies=READABLE)
 async def health(context: Context) -> dict[str, Any]:
     """Get the health: every check of cameras, gate, queue, workers, calibration, store, disk and more; always 200."""
-    state = context.control.health()
+    state = context.part(Health)
     return {
         **{each.name: getattr(state, each.name) for each in fields(state)},
         "status": OVERALL_STATUS.get(state.ne107, CheckStatus.WARN),

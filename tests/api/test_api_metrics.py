@@ -13,7 +13,8 @@ from support.rest import SICK_HEALTH, FakeControl, app_of, client_of
 
 from service.base.redaction import redacted
 from service.configuration.settings import Settings, load_settings
-from service.daemon.rest.routes.metrics import DELAYS_S, Snapshot
+from service.daemon.overview.result_delays import LIMITS_S
+from service.daemon.rest.routes.metrics import Snapshot
 from service.results.fields import Verified
 from service.store import Store
 from service.store.accounting import OutcomeCounts, outcome_counts
@@ -103,8 +104,8 @@ async def test_counts_go_on_from_the_last_time_and_forget_nothing_that_was_remov
 
 async def test_what_health_says_is_there_with_labels(client: httpx.AsyncClient, control: FakeControl) -> None:
     control.condition = SICK_HEALTH
-    control.delays.observe(0.41)
-    control.delays.observe(7.0)
+    control.delays.note(0.41)
+    control.delays.note(7.0)
     found = await scraped(client)
     assert found["stonefall_queue_bundles"] == {(): 3}
     assert found["stonefall_worker_restarts_total"] == {(): 1}
@@ -122,7 +123,7 @@ async def test_what_health_says_is_there_with_labels(client: httpx.AsyncClient, 
     assert found["stonefall_calibration_activated_timestamp_seconds"][()] > 1.7e9
     buckets = found["stonefall_result_delay_seconds_bucket"]
     assert [buckets[f"{limit}",] for limit in (0.4, 0.45, 5.0, 10.0)] == [0, 1, 1, 2]
-    assert len(buckets) == len(DELAYS_S) + 1
+    assert len(buckets) == len(LIMITS_S) + 1
     assert found["stonefall_result_delay_seconds_sum"][()] == pytest.approx(7.41)
     assert not any(name.endswith("_created") for name in found)
     assert not any(name.startswith(("python_", "process_")) for name in found)
@@ -146,7 +147,7 @@ def test_the_guide_names_every_metric_and_the_rules_name_no_other(control: FakeC
     snapshot = Snapshot(
         facts=facts,
         outcomes=OutcomeCounts(n={("measured", "", "good"): 1}),
-        delays=control.delays,
+        delays=control.delays.histogram,
         verified=Verified.NEVER,
         last_verification=None,
     )
@@ -180,7 +181,7 @@ async def test_the_configuration_is_served_without_secrets(
         f'sha256 = "{64 * "a"}"\nscopes = ["read"]\n'
     )
     settings = load_settings(path)
-    control.settings = settings.model_dump(mode="json")
+    control.settings = settings
     async with client_of(app_of(store, control, ApiSettings())) as client:
         answer = await client.get("/config")
     assert 64 * "a" not in answer.text

@@ -102,7 +102,7 @@ async def test_it_says_what_the_other_resources_say(
         await add(store, session, sequence, record, files if sequence == 0 else None)
     alarms.update({"trigger_line": HealthCheck(status=CheckStatus.FAIL, detail="no image")})  # at once
     control.state = AcquisitionState.ARMED
-    control.latest_delays_s = [0.2] * 99 + [3.0]
+    control.delays.latest_s.extend([0.2] * 99 + [3.0])
     found = await overview_of(client)
     accounting = (await client.get("/accounting")).json()
     assert found["accounting"] == {name: accounting[name] for name in found["accounting"]}

@@ -1,19 +1,19 @@
 """A fake daemon, the files of a result, and a client of the REST interface."""
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cache
 from http import HTTPStatus
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from types import SimpleNamespace
+from typing import TypeVar, cast
 
 import httpx
 import numpy as np
 import trimesh
 from fastapi import FastAPI
-from prometheus_client import Histogram
 from starlette.datastructures import State
 from support.outcomes import trigger
 
@@ -22,6 +22,7 @@ from drivers.files.recording import write_bundle
 from drivers.files.silhouette_file import write_silhouettes
 from drivers.interfaces import CameraVitals
 from pipeline.frames import CameraId, Frame, FrameBundle, Image
+from service.acquisition.acquisition import Acquisition
 from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,
@@ -36,9 +37,10 @@ from service.base.status import (
     next_state,
 )
 from service.calibration.calibrations import Calibrations
+from service.configuration.settings import Settings
 from service.daemon.diagnostics.inputs import Inputs
+from service.daemon.overview.result_delays import ResultDelays
 from service.daemon.rest import app
-from service.daemon.rest.routes.metrics import result_delays
 from service.daemon.running_daemon import rig_standing
 from service.delivery.webhooks import Webhooks
 from service.health.alarms.alarms import Alarms
@@ -93,9 +95,8 @@ class FakeControl:
     images: dict[str, Image] = field(default_factory=dict)
     calibrations: Calibrations | None = None
     lots: LotsSettings = field(default_factory=LotsSettings)
-    delays: Histogram = field(default_factory=result_delays)
-    latest_delays_s: Sequence[float] = ()
-    settings: dict[str, Any] = field(default_factory=dict)
+    delays: ResultDelays = field(default_factory=ResultDelays)
+    settings: Settings = field(default_factory=Settings.model_construct)
     configured: ConfigurationState = JUST_LOADED
     diagnosed: Inputs | None = None
     alarms: Alarms | None = None
@@ -106,7 +107,7 @@ class FakeControl:
     def acquisition_status(self) -> AcquisitionStatus:
         return AcquisitionStatus(state=self.state, cameras=len(CAMERAS))
 
-    async def set_acquisition(self, target: AcquisitionTarget) -> AcquisitionState:
+    def request(self, target: AcquisitionTarget) -> AcquisitionState:
         next_state(self.state, target)
         self.state = AcquisitionState(target)
         return self.state
@@ -114,21 +115,30 @@ class FakeControl:
     def health(self) -> Health:
         return self.condition
 
-    def configuration(self) -> dict[str, Any]:
-        return self.settings
-
     def part(self, kind: type[T]) -> T:
-        parts = (self.recordings, self.calibrations, self.lots, self.alarms, self.webhooks, self.remeasuring)
-        states = {Facts: self.facts, Inputs: lambda: self.diagnosed, RigStanding: self.rig_standing}
+        states = {
+            Acquisition: self.acquisition,
+            AcquisitionStatus: self.acquisition_status,
+            Facts: self.facts,
+            Health: self.health,
+            RigStanding: self.rig_standing,
+        }
+        parts = (getattr(self, each.name) for each in fields(self))
         found = states[kind]() if kind in states else next(each for each in parts if isinstance(each, kind))
         return cast("T", found)
+
+    def acquisition(self) -> SimpleNamespace:
+        return SimpleNamespace(
+            state=self.state,
+            status=self.acquisition_status,
+            request=self.request,
+            show_camera=self.show_camera,
+            cameras=SimpleNamespace(latest_image=self.images.get),
+        )
 
     def rig_standing(self) -> RigStanding:
         assert self.calibrations is not None
         return rig_standing(self.calibrations)
-
-    def configuration_state(self) -> ConfigurationState:
-        return self.configured
 
     def facts(self) -> Facts:
         assert self.calibrations is not None
@@ -159,9 +169,6 @@ class FakeControl:
             raise CameraUnavailableError(camera, "does not answer", LossCause.SILENT)
         self.shown.append((camera, seconds))
         return CameraVitals(serial=f"SIM-{camera}", model="SF-1280", address="127.0.0.2")
-
-    def latest_image(self, camera: CameraId) -> Image | None:
-        return self.images.get(camera)
 
 
 class ReadingThread:

@@ -31,6 +31,7 @@ from service.daemon.overview.overview_documents import (
     OverviewVerification,
 )
 from service.daemon.overview.overview_rows import Rows, overview_figures, overview_rows
+from service.daemon.overview.result_delays import ResultDelays
 from service.health.alarms.alarm import ANNOUNCED, Alarm
 from service.health.alarms.alarms import Alarms
 from service.health.alarms.rules import Priority
@@ -183,7 +184,7 @@ def _document(
         accounting=rows.accounting,
         today=rows.accounting_today,
         queue=OverviewQueue(waiting=facts.waiting, max=facts.max_waiting),
-        latency=_latency(control.latest_delays_s),
+        latency=_latency(control.part(ResultDelays).latest_s),
         disk_days=None if use is None or use.days_left is None else round(use.days_left, 1),
         verification=_verification(calibrations),
         calibration_id=calibrations.rig_file.calibration_id,

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from service.base.redaction import redacted
 from service.base.status import ConfigurationState
+from service.configuration.settings import Settings
 from service.web.auth import CONFIGURABLE
 from service.web.context import Context
 
@@ -28,5 +29,5 @@ async def configuration(context: Context) -> dict[str, Any]:
 
     It names paths, addresses and devices of the plant, which readers of results need not know: scope `configure`.
     """
-    state = context.control.configuration_state()
-    return {"settings": redacted(context.control.configuration()), **state.model_dump()}
+    settings = context.part(Settings).model_dump(mode="json")
+    return {"settings": redacted(settings), **context.part(ConfigurationState).model_dump()}

@@ -6,9 +6,11 @@ from typing import Any
 
 from fastapi import APIRouter, Response
 
+from service.base.status import AcquisitionStatus, ConfigurationState, Health
 from service.calibration.calibrations import Calibrations
 from service.daemon.diagnostics.archive import build_archive
 from service.daemon.diagnostics.inputs import Inputs
+from service.daemon.overview.result_delays import ResultDelays
 from service.daemon.rest.routes.metrics import metrics_of
 from service.web.auth import CONFIGURABLE
 from service.web.context import ApiContext, Context
@@ -39,7 +41,7 @@ async def diagnostics(context: Context) -> Response:
 
 async def _archive(context: ApiContext) -> bytes:
     control = context.control
-    health = control.health()
+    health = control.part(Health)
     live: dict[str, Any] = {
         "health.json": {
             "ne107": health.ne107,
@@ -47,11 +49,11 @@ async def _archive(context: ApiContext) -> bytes:
             "reasons": health.reasons,
             "checks": {name: check.model_dump(mode="json") for name, check in health.checks.items()},
         },
-        "acquisition.json": control.acquisition_status().model_dump(mode="json"),
+        "acquisition.json": control.part(AcquisitionStatus).model_dump(mode="json"),
         "cameras.json": [camera.model_dump(mode="json") for camera in control.cameras()],
-        "configuration-state.json": control.configuration_state().model_dump(mode="json"),
+        "configuration-state.json": control.part(ConfigurationState).model_dump(mode="json"),
         "calibration.json": asdict(control.part(Calibrations).facts()),
-        "latest-delays-s.json": list(control.latest_delays_s),
+        "latest-delays-s.json": list(control.part(ResultDelays).latest_s),
         "metrics.txt": (await metrics_of(context)).decode(),
     }
     inputs = await asyncio.to_thread(context.part, Inputs)

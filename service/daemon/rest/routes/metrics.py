@@ -22,6 +22,7 @@ from pipeline.views.quality import Quality
 from service.base.status import AcquisitionState, CameraOptics, CameraStatus, CheckStatus, DeviceState, Ne107
 from service.calibration.calibrations import Calibrations
 from service.calibration.verifications import Verification
+from service.daemon.overview.result_delays import ResultDelays
 from service.health.facts import Facts
 from service.results.fields import LossReason, Outcome, Verified
 from service.results.version import ALGORITHM_VERSION
@@ -34,8 +35,6 @@ router = APIRouter(prefix="/metrics", tags=["health"], dependencies=READABLE)
 
 KEEP_S = 1.0
 """For so long everybody gets the same text."""
-DELAYS_S = (0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.8, 1.0, 1.5, 2.0, 5.0, 10.0, 30.0)
-"""Limits of the histogram; 0.26 s pass before the frames of a stone are there."""
 NONE_YET = {(Outcome.MEASURED.value, "", quality.value): 0 for quality in Quality} | {
     (Outcome.LOST.value, reason.value, ""): 0 for reason in LossReason
 }
@@ -91,16 +90,6 @@ class Snapshot(Collector):
         yield InfoMetricFamily("stonefall_build", "Versions of package, interface and algorithm", build)
 
 
-def result_delays() -> Histogram:
-    """Return an empty histogram of the time from a trigger to its durable outcome."""
-    return Histogram(
-        "stonefall_result_delay_seconds",
-        "From the light gate's trigger to the durable outcome",
-        registry=None,
-        buckets=DELAYS_S,
-    )
-
-
 @router.get(
     "", response_class=Response, responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}}
 )
@@ -120,7 +109,7 @@ async def _text(context: ApiContext) -> bytes:
     snapshot = Snapshot(
         facts=control.part(Facts),
         outcomes=await context.counted.now(context.store),
-        delays=control.delays,
+        delays=control.part(ResultDelays).histogram,
         verified=calibrations.verified,
         last_verification=calibrations.verifications.last(calibrations.rig_file.calibration_id),
     )

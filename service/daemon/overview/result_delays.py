@@ -1,0 +1,28 @@
+"""Time from each trigger to its durable outcome: what metrics and overview say of it."""
+
+from collections import deque
+
+from prometheus_client import Histogram
+
+N_LATEST = 100
+"""Outcomes whose delays are remembered one by one."""
+LIMITS_S = (0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.8, 1.0, 1.5, 2.0, 5.0, 10.0, 30.0)
+"""Limits of the histogram; 0.26 s pass before the frames of a stone are there."""
+
+
+class ResultDelays:
+    """The delays of all outcomes as a histogram, and the latest; none in replay, which has a clock of its own."""
+
+    def __init__(self) -> None:
+        self.latest_s = deque[float](maxlen=N_LATEST)
+        self.histogram = Histogram(
+            "stonefall_result_delay_seconds",
+            "From the light gate's trigger to the durable outcome",
+            registry=None,
+            buckets=LIMITS_S,
+        )
+
+    def note(self, delay_s: float) -> None:
+        """Add the delay of another outcome."""
+        self.histogram.observe(delay_s)
+        self.latest_s.append(delay_s)
