@@ -20,7 +20,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.store import Store
 from service.store.answers import Answer, find_answer, keep_answer, n_answers
-from service.web.problems import Problem
+from service.web.problems import Problem, invalid_request
 
 HEADER = "Idempotency-Key"
 KEY = re.compile(r"[\x21-\x7e]{1,128}")
@@ -93,9 +93,7 @@ class GuardedRequest:
             The key is not valid, was used for another request, or its first request is still under way.
         """
         if not KEY.fullmatch(self._key):
-            message = "must be 1 to 128 visible ASCII characters"
-            errors = [{"field": f"header.{HEADER}", "message": message}]
-            raise Problem(422, "invalid-request", f"header.{HEADER}: {message}", errors=errors)
+            raise invalid_request((f"header.{HEADER}", "must be 1 to 128 visible ASCII characters"))
         self._store.require_writable()
         self._digest = await _digest(request)
         place = (who, self._key)

@@ -1,7 +1,7 @@
 """Errors as RFC 9457 problem details: one form for all of them, without stack traces."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any, TypeVar
 
@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.routing import compile_path
 
-from service.base.errors import InvalidRequestError, ProblemError, StoreError
+from service.base.errors import InvalidRequestError, ProblemError, ProblemKind, StoreError
 from service.store.trouble import TroubleCause
 from service.web.request_ids import HEADER, request_id_of
 
@@ -25,49 +25,35 @@ NAMED = (
     *("product", "recording", "sample", "verification", "webhook"),
 )
 """What requests name: each has a problem 404 of its own."""
-PROBLEMS: Mapping[int, Mapping[str, str]] = {
-    HTTPStatus.BAD_REQUEST: {"bad-request": "Bad Request"},
-    HTTPStatus.UNAUTHORIZED: {"unauthorized": "A valid key is needed"},
-    HTTPStatus.FORBIDDEN: {
-        "forbidden": "Not allowed",
-        "foreign-origin": "A page of another site asks for this",
-    },
-    HTTPStatus.NOT_FOUND: {
-        "not-kept": "This file was not kept",
-        **{f"unknown-{kind}": f"No such {kind}" for kind in NAMED},
-    },
-    HTTPStatus.NOT_ACCEPTABLE: {"not-acceptable": "No acceptable media type"},
-    HTTPStatus.CONFLICT: {
-        "request-in-progress": "The first request with this key is still being carried out"
-    },
-    HTTPStatus.GONE: {"files-removed": "The files of this result were removed"},
-    HTTPStatus.PRECONDITION_FAILED: {"precondition-failed": "It is not the version that If-Match names"},
-    HTTPStatus.REQUEST_ENTITY_TOO_LARGE: {"content-too-large": "The request is too large"},
-    HTTPStatus.UNSUPPORTED_MEDIA_TYPE: {"unsupported-media-type": "Not JSON"},
-    HTTPStatus.MISDIRECTED_REQUEST: {
-        "unknown-host": "This service does not have the name that was asked for"
-    },
-    HTTPStatus.UNPROCESSABLE_ENTITY: {
-        "idempotency-key-reused": "The idempotency key was used for another request",
-        "invalid-request": InvalidRequestError.kinds[0].title,
-    },
-    HTTPStatus.TOO_MANY_REQUESTS: {
-        "too-many-attempts": "Too many wrong keys",
-        "too-many-keys": "Too many idempotency keys",
-    },
-    HTTPStatus.INTERNAL_SERVER_ERROR: {
-        "internal-error": "Internal error of the service",
-        "store-damaged": "The store is damaged",
-    },
-    HTTPStatus.SERVICE_UNAVAILABLE: {
-        "camera-unavailable": "The camera cannot do this now",
-        "not-ready": "Not ready to measure stones",
-        "store-unavailable": "The store cannot be read or written",
-        "too-many-connections": "Too many requests at a time",
-    },
-}
-"""Problems that routes raise, by status: the last part of `type`, and the title; a `ProblemError` brings its own."""
-TITLES = {slug: title for titles in PROBLEMS.values() for slug, title in titles.items()}
+PROBLEMS = tuple(
+    ProblemKind(name, HTTPStatus(status), title)
+    for status, name, title in (
+        (400, "bad-request", "Bad Request"),
+        (401, "unauthorized", "A valid key is needed"),
+        (403, "forbidden", "Not allowed"),
+        (403, "foreign-origin", "A page of another site asks for this"),
+        (404, "not-kept", "This file was not kept"),
+        *((404, f"unknown-{thing}", f"No such {thing}") for thing in NAMED),
+        (406, "not-acceptable", "No acceptable media type"),
+        (409, "request-in-progress", "The first request with this key is still being carried out"),
+        (410, "files-removed", "The files of this result were removed"),
+        (412, "precondition-failed", "It is not the version that If-Match names"),
+        (413, "content-too-large", "The request is too large"),
+        (415, "unsupported-media-type", "Not JSON"),
+        (421, "unknown-host", "This service does not have the name that was asked for"),
+        (422, "idempotency-key-reused", "The idempotency key was used for another request"),
+        (429, "too-many-attempts", "Too many wrong keys"),
+        (429, "too-many-keys", "Too many idempotency keys"),
+        (500, "internal-error", "Internal error of the service"),
+        (500, "store-damaged", "The store is damaged"),
+        (503, "camera-unavailable", "The camera cannot do this now"),
+        (503, "not-ready", "Not ready to measure stones"),
+        (503, "store-unavailable", "The store cannot be read or written"),
+        (503, "too-many-connections", "Too many requests at a time"),
+    )
+)
+"""Problems that routes raise; a `ProblemError` brings its own."""
+TITLES = {kind.name: kind.title for kind in (*PROBLEMS, *InvalidRequestError.kinds)}
 
 WAIT = frozenset({HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE})
 """Statuses that always say when to come again."""
@@ -158,23 +144,23 @@ def problem_response(request: Request, problem: Problem) -> JSONResponse:
 
 
 def install_handlers(app: FastAPI) -> None:
-    """Install handlers that answer every exception of a route as a problem."""
-    app.add_exception_handler(HTTPException, _handle_http)
-    app.add_exception_handler(RequestValidationError, _handle_validation)
-    app.add_exception_handler(ProblemError, _handle_problem_error)
-    app.add_exception_handler(StoreError, _handle_store)
-    app.add_exception_handler(OSError, _handle_store)  # a disk that is full or read-only
-    app.add_exception_handler(Exception, _handle_bug)
+    """Answer every exception of a route as a problem."""
+
+    async def answer(request: Request, error: Exception) -> JSONResponse:
+        return problem_response(request, _problem_of_any(request, error))
+
+    for kind in (HTTPException, RequestValidationError, ProblemError, StoreError, OSError, Exception):
+        app.add_exception_handler(kind, answer)
 
 
 def all_problems() -> dict[HTTPStatus, dict[str, str]]:
     """Return the title of every problem by status and kind, those of imported `ProblemError`s included."""
-    found = {HTTPStatus(status): dict(titles) for status, titles in PROBLEMS.items()}
     errors: list[type[ProblemError]] = [ProblemError]
-    for error in errors:
+    for error in errors:  # to which it appends
         errors.extend(error.__subclasses__())
-        for kind in error.kinds:
-            found.setdefault(kind.status, {})[kind.name] = kind.title
+    found: dict[HTTPStatus, dict[str, str]] = {}
+    for kind in (*PROBLEMS, *(kind for error in errors for kind in error.kinds)):
+        found.setdefault(kind.status, {})[kind.name] = kind.title
     return {status: dict(sorted(titles.items())) for status, titles in sorted(found.items())}
 
 
@@ -190,17 +176,36 @@ def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {} for status in statuses}
 
 
-async def _handle_http(request: Request, error: Exception) -> JSONResponse:
-    if isinstance(error, Problem):
-        return problem_response(request, error)
-    assert isinstance(error, HTTPException)  # noqa: S101 - the handler's registration says so, the type cannot
-    slug = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
-    headers = error.headers
-    if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
-        headers = {
-            "Allow": _allowed_methods(request) or "GET"
-        }  # Starlette names those of the first route alone
-    return problem_response(request, Problem(error.status_code, slug, error.detail, headers=headers))
+def invalid_request(*wrong: tuple[str, str]) -> Problem:
+    """Return the problem 422 of a request, by its wrong fields and what is wrong with each."""
+    errors = [{"field": field, "message": message} for field, message in wrong]
+    detail = "; ".join(f"{field}: {message}" for field, message in wrong)
+    return Problem(422, "invalid-request", detail, errors=errors)
+
+
+def _problem_of_any(request: Request, error: Exception) -> Problem:
+    """Return the problem that an exception is to the client; what only the journal may say is logged."""
+    match error:
+        case Problem():
+            return error
+        case ProblemError():
+            return problem_of(error)
+        case HTTPException(status_code=status, headers=headers):
+            if status == HTTPStatus.METHOD_NOT_ALLOWED:  # Starlette names those of the first route alone
+                headers = {"Allow": _allowed_methods(request) or "GET"}
+            slug = HTTPStatus(status).phrase.lower().replace(" ", "-")
+            return Problem(status, slug, error.detail, headers=headers)
+        case RequestValidationError():
+            return invalid_request(*map(_wrong_field, error.errors()[:MOST_ERRORS]))
+        case StoreError() | OSError():  # the latter of a disk that is full or read-only
+            # the message names paths of this machine: it is for the journal, not for the client
+            log.error("%s: %s", failure_of(request), error)
+            trouble = request.app.state.context.store.trouble
+            if trouble is not None and trouble.cause is TroubleCause.DAMAGED:  # asking again does not help
+                return Problem(500, "store-damaged", str(trouble))
+            return store_unavailable()
+    log.error(failure_of(request), exc_info=error)
+    return Problem(500, "internal-error", "unexpected error: see the journal of the service")
 
 
 def _allowed_methods(request: Request) -> str:
@@ -210,23 +215,14 @@ def _allowed_methods(request: Request) -> str:
     return ", ".join(sorted({method.upper() for methods in fitting for method in methods}))
 
 
+def _wrong_field(error: Mapping[str, Any]) -> tuple[str, str]:
+    """Return where a wrong value is, without the type that pydantic tried for a parameter, and what is wrong."""
+    place = error["loc"] if error["loc"][0] == "body" else error["loc"][:2]
+    return _shortened(".".join(map(str, place))), _shortened(error["msg"])
+
+
 def _shortened(text: str) -> str:
     return text if len(text) <= MOST_CHARACTERS else f"{text[:MOST_CHARACTERS]} ..."
-
-
-async def _handle_validation(request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, RequestValidationError)  # noqa: S101 - as above
-    errors = [
-        {"field": _shortened(".".join(map(str, _field(item["loc"])))), "message": _shortened(item["msg"])}
-        for item in error.errors()[:MOST_ERRORS]
-    ]
-    detail = "; ".join(f"{item['field']}: {item['message']}" for item in errors)
-    return problem_response(request, Problem(422, "invalid-request", detail, errors=errors))
-
-
-def _field(location: Sequence[str | int]) -> Sequence[str | int]:
-    """Return where the value is, without the type that pydantic tried for a parameter."""
-    return location if location[0] == "body" else location[:2]
 
 
 def problem_of(error: ProblemError) -> Problem:
@@ -242,20 +238,6 @@ def problem_of(error: ProblemError) -> Problem:
     )
 
 
-async def _handle_problem_error(request: Request, error: Exception) -> JSONResponse:
-    assert isinstance(error, ProblemError)  # noqa: S101 - as above
-    return problem_response(request, problem_of(error))
-
-
-async def _handle_store(request: Request, error: Exception) -> JSONResponse:
-    # the message names paths of this machine: it is for the journal, not for the client
-    log.error("%s: %s", failure_of(request), error)
-    trouble = request.app.state.context.store.trouble
-    if trouble is not None and trouble.cause is TroubleCause.DAMAGED:  # asking again does not help
-        return problem_response(request, Problem(500, "store-damaged", str(trouble)))
-    return problem_response(request, store_unavailable())
-
-
 def store_unavailable() -> Problem:
     """Return the problem of a store that cannot be read or written now."""
     return Problem(503, "store-unavailable", f"try again in {RETRY_AFTER_S} s")
@@ -264,10 +246,3 @@ def store_unavailable() -> Problem:
 def failure_of(request: Request) -> str:
     """Return the beginning of the log's line about a failed request."""
     return f"request {request_id_of(request)}: {request.method} {request.scope['path']} failed"
-
-
-async def _handle_bug(request: Request, error: Exception) -> JSONResponse:
-    log.error(failure_of(request), exc_info=error)
-    return problem_response(
-        request, Problem(500, "internal-error", "unexpected error: see the journal of the service")
-    )

@@ -17,7 +17,7 @@ from service.web.context import Context
 from service.web.feeds import MAX_SEQ, Feed, page_after, require_within
 from service.web.gzipped import TakesGzip
 from service.web.pages import CursorPage
-from service.web.problems import Problem, problem_responses
+from service.web.problems import invalid_request, problem_responses
 
 router = APIRouter(prefix="/results", tags=["results"], dependencies=READABLE)
 
@@ -46,8 +46,7 @@ async def fields_of(
     try:
         return None if fields is None else chosen_fields(fields)
     except UnknownFieldsError as err:
-        errors = [{"field": "query.fields", "message": str(err)}]
-        raise Problem(422, "invalid-request", f"query.fields: {err}", errors=errors) from err
+        raise invalid_request(("query.fields", str(err))) from err
 
 
 ChosenFields = Annotated[Names, Depends(fields_of)]
@@ -83,9 +82,9 @@ async def results(
     """
     if since is not None:
         if after > 0:
-            message = "gives the place that `after` gives: leave out one of them"
-            errors = [{"field": "query.since", "message": message}]
-            raise Problem(422, "invalid-request", f"query.since: {message}", errors=errors)
+            raise invalid_request(
+                ("query.since", "gives the place that `after` gives: leave out one of them")
+            )
         after = await context.store.read(seq_before, since)
     page = await page_after(context, replace(RESULTS, more=(names, as_gzip)), after, limit, wait_s)
     require_within(page.cursor, after, RESULTS.kind)
