@@ -1,37 +1,23 @@
 """Pages of results as finished JSON, made on a connection to the store, in any process or thread."""
 
 import sqlite3
+from dataclasses import replace
 
 from service.results.fields import served
 from service.store import ParticleFilter
+from service.store.events import HistoryPage
 from service.store.particle_files import first_seq
 from service.store.reads import particles, results_after
-from service.web.pages import FeedPage, page_json, page_of, server_sent, stream_of
+from service.web.pages import page_json
 
 Names = tuple[str, ...] | None
 """Fields of a result that are wanted; None: all."""
 
 
-def feed_page(
-    connection: sqlite3.Connection,
-    instance_id: str,
-    after: int,
-    limit: int,
-    names: Names = None,
-    as_gzip: bool = False,
-) -> FeedPage:
-    """Return the page of up to `limit` results after `after`, each with these fields or all."""
+def served_after(connection: sqlite3.Connection, after: int, limit: int, names: Names) -> HistoryPage:
+    """Return up to `limit` results after `after`, each with these fields or all."""
     page = results_after(connection, after, limit)
-    return page_of(page, after, instance_id, (served(record, names) for record in page.items), as_gzip)
-
-
-def result_stream(
-    connection: sqlite3.Connection, instance_id: str, after: int, limit: int, names: Names = None
-) -> FeedPage:
-    """Return the same results as server-sent events."""
-    page = results_after(connection, after, limit)
-    items = (served(record, names) for record in page.items)
-    return stream_of(page, after, instance_id, (server_sent("result", item, item["seq"]) for item in items))
+    return replace(page, items=[served(record, names) for record in page.items])
 
 
 def particles_page(

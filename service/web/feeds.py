@@ -1,16 +1,14 @@
 """What clients follow by a number without gaps: the pages of a feed, the wait for more, and the place of a cursor."""
 
 import asyncio
-from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
 
-from service.store import Store, read
-from service.store.events import CursorError
+from service.store import read
+from service.store.events import CursorError, events_after
 from service.web.context import ApiContext
-from service.web.pages import CursorPage, FeedPage, event_page, event_stream
+from service.web.pages import CursorPage, Feed, FeedPage, feed_page
 
 MAX_SEQ = 10**15
 """Beyond any feed, within what a JSON number and SQLite hold exactly."""
@@ -19,30 +17,7 @@ MAX_SMALL = 20
 KEEP_S = 1.0
 """Time for which a small page, or a full one of a stream, is the answer to all who ask for it."""
 
-PageQuery = Callable[..., FeedPage]
-"""Takes a connection, the id of the history, `after`, `limit`, and the feed's `more`."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Feed:
-    """Results, or events, in one form."""
-
-    kind: str
-    query: PageQuery
-    is_large: bool  # a page of many items takes long
-    last: Callable[[Store], int]
-    is_stream: bool = False  # its pages say nothing of what follows them
-    more: tuple[
-        tuple[str, ...] | bool | None, ...
-    ] = ()  # that the query is given: what the client has chosen
-
-    async def wait_beyond(self, store: Store, after: int) -> None:
-        """Wait until there is an item after this number, or waiting was ended."""
-        await store.wait_while(lambda: self.last(store) <= after)
-
-
-EVENTS = Feed(kind="event", query=event_page, is_large=False, last=attrgetter("last_event"))
-EVENT_STREAM = replace(EVENTS, query=event_stream, is_stream=True)
+EVENTS = Feed(kind="event", find=events_after, is_large=False, last=attrgetter("last_event"))
 
 
 async def page_after(context: ApiContext, feed: Feed, after: int, limit: int, wait_s: float = 0) -> FeedPage:
@@ -50,7 +25,7 @@ async def page_after(context: ApiContext, feed: Feed, after: int, limit: int, wa
 
     All who ask for it at this moment get the same.
     """
-    store, wanted = context.store, (after, limit, *feed.more)
+    store = context.store
     while True:
         last = feed.last(store)
         if wait_s == 0 or after != last:
@@ -58,8 +33,8 @@ async def page_after(context: ApiContext, feed: Feed, after: int, limit: int, wa
             is_full = feed.is_stream and after + limit <= last  # what follows changes nothing on it
             read_page = partial(context.reading.run, read, store.path) if is_big else store.read
             page: FeedPage = await context.shared.get(
-                (feed.query, *wanted, None if is_full else last),
-                partial(read_page, feed.query, store.instance_id, *wanted),
+                (feed, after, limit, None if is_full else last),
+                partial(read_page, feed_page, feed, store.instance_id, after, limit),
                 keep_s=KEEP_S if is_full or not is_big else 0,
             )
             if wait_s == 0 or after != page.cursor.last_seq:

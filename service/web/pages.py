@@ -3,13 +3,14 @@
 import gzip
 import json
 import sqlite3
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from pydantic import BaseModel, Field
 
-from service.store.events import HistoryPage, events_after
+from service.store import Store
+from service.store.events import HistoryPage
 
 LEAST_BYTES = 2000
 """Smaller answers are not worth compressing."""
@@ -34,18 +35,43 @@ class FeedPage:
     content: bytes
 
 
-def event_page(connection: sqlite3.Connection, instance_id: str, after: int, limit: int) -> FeedPage:
-    """Return the page of up to `limit` events after `after`."""
-    page = events_after(connection, after, limit)
-    return page_of(page, after, instance_id, page.items)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Feed:
+    """Results, or events, in one form."""
+
+    kind: str
+    find: Callable[..., HistoryPage]
+    """Takes a connection, `after`, `limit`, and the feed's `choice`."""
+    choice: tuple[str, ...] | None = None
+    """What the client has chosen of them; None: all."""
+    is_large: bool
+    """A page of many items takes long."""
+    last: Callable[[Store], int]
+    is_stream: bool = False
+    """Its pages are server-sent events, and say nothing of what follows them."""
+    as_gzip: bool = False
+
+    async def wait_beyond(self, store: Store, after: int) -> None:
+        """Wait until there is an item after this number, or waiting was ended."""
+        await store.wait_while(lambda: self.last(store) <= after)
 
 
-def event_stream(connection: sqlite3.Connection, instance_id: str, after: int, limit: int) -> FeedPage:
-    """Return the same events as server-sent events."""
-    page = events_after(connection, after, limit)
-    return stream_of(
-        page, after, instance_id, (server_sent(item["type"], item, item["seq"]) for item in page.items)
+def feed_page(
+    connection: sqlite3.Connection, feed: Feed, instance_id: str, after: int, limit: int
+) -> FeedPage:
+    """Return the page of up to `limit` items after `after`."""
+    page = feed.find(connection, after, limit, feed.choice)
+    cursor = CursorPage(
+        instance_id=instance_id,
+        first_seq=page.first_seq,
+        last_seq=page.last_seq,
+        next_after=page.items[-1]["seq"] if page.items else after,
     )
+    if not feed.is_stream:
+        return FeedPage(cursor, page_json(dict(cursor), page.items, feed.as_gzip))
+    # an event is sent by its type, of which a result has none
+    sent = (server_sent(item.get("type", feed.kind), item, item["seq"]) for item in page.items)
+    return FeedPage(cursor, b"".join(sent))
 
 
 def server_sent(event: str, data: Any, number: int | None = None) -> bytes:
@@ -57,26 +83,6 @@ def server_sent(event: str, data: Any, number: int | None = None) -> bytes:
 def is_gzipped(content: bytes) -> bool:
     """True when JSON is compressed already, by the first bytes of gzip."""
     return content.startswith(b"\x1f\x8b")
-
-
-def page_of(
-    page: HistoryPage, after: int, instance_id: str, items: Iterable[Mapping[str, Any]], as_gzip: bool = False
-) -> FeedPage:
-    """Return the page as JSON."""
-    cursor = _cursor_of(page, after, instance_id)
-    return FeedPage(cursor, page_json(dict(cursor), items, as_gzip))
-
-
-def stream_of(page: HistoryPage, after: int, instance_id: str, items: Iterable[bytes]) -> FeedPage:
-    """Return the page as server-sent events."""
-    return FeedPage(_cursor_of(page, after, instance_id), b"".join(items))
-
-
-def _cursor_of(page: HistoryPage, after: int, instance_id: str) -> CursorPage:
-    next_after = page.items[-1]["seq"] if page.items else after
-    return CursorPage(
-        instance_id=instance_id, first_seq=page.first_seq, last_seq=page.last_seq, next_after=next_after
-    )
 
 
 def page_json(head: Mapping[str, Any], items: Iterable[Mapping[str, Any]], as_gzip: bool) -> bytes:

@@ -8,6 +8,7 @@ import asyncio
 import logging
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import aclosing
+from dataclasses import replace
 
 from fastapi import Request
 from fastapi.responses import StreamingResponse
@@ -15,8 +16,8 @@ from starlette.types import Receive, Scope, Send
 
 from service.base.errors import ProblemError, StoreError
 from service.web.context import ApiContext
-from service.web.feeds import Feed, page_after, require_within
-from service.web.pages import CursorPage, FeedPage, server_sent
+from service.web.feeds import page_after, require_within
+from service.web.pages import CursorPage, Feed, FeedPage, server_sent
 from service.web.problems import Problem, failure_of, problem_document, problem_of, store_unavailable
 from service.web.reader_process import BusyError
 from service.web.request_ids import request_id_of
@@ -69,6 +70,7 @@ async def open_stream(
         The feed does not have what follows `after`, or too many streams are open.
     """
     context.streams.require_room(request)
+    feed = replace(feed, is_stream=True)
     page = await page_after(context, feed, after, 1)
     require_within(page.cursor, after, feed.kind)
     return OpenStream(context, _chunks(context, feed, after, allow), request)

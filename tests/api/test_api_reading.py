@@ -3,6 +3,7 @@
 import asyncio
 import os
 from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,14 +16,14 @@ from support.rest import FakeControl, ReadingThread, app_of, assert_problem, cli
 from support.worker_jobs import Stumble, stumble, wait_for
 
 from service.base.errors import StoreError
-from service.particles.pages import feed_page
 from service.particles.renditions import NotKeptError, preview_png
-from service.particles.routes.results import RESULT_STREAM, RESULTS
+from service.particles.routes.results import RESULTS
 from service.store import Store, read
 from service.store.reads import results_after
 from service.web import pace, reader_process
 from service.web.feeds import MAX_SMALL, page_after
 from service.web.pace import BURST, RATE_HZ, Pace
+from service.web.pages import feed_page
 from service.web.reader_process import BusyError, ReaderProcess
 
 T = TypeVar("T")
@@ -79,12 +80,13 @@ async def test_streams_far_behind_share_full_pages_although_stones_fall(
         await add(store, session, number, rejected("empty"))
     beside = CountingThread()
     context = app_of(store, control, reading=beside).state.context
-    first = await page_after(context, RESULT_STREAM, 0, MAX_SMALL + 1)
+    stream = replace(RESULTS, is_stream=True)
+    first = await page_after(context, stream, 0, MAX_SMALL + 1)
     await add(store, session, MAX_SMALL + 3, rejected("empty"))
-    assert (await page_after(context, RESULT_STREAM, 0, MAX_SMALL + 1)).content == first.content
+    assert (await page_after(context, stream, 0, MAX_SMALL + 1)).content == first.content
     assert beside.n_runs == 1
     # not full, and what says how far the feed goes: made anew
-    assert (await page_after(context, RESULT_STREAM, 0, 100)).cursor.next_after == MAX_SMALL + 3
+    assert (await page_after(context, stream, 0, 100)).cursor.next_after == MAX_SMALL + 3
     assert (await page_after(context, RESULTS, 0, 1)).cursor.last_seq == MAX_SMALL + 3
     await add(store, session, MAX_SMALL + 4, rejected("empty"))
     assert (await page_after(context, RESULTS, 0, 1)).cursor.last_seq == MAX_SMALL + 4

@@ -9,20 +9,19 @@ from fastapi.responses import Response
 from pydantic import Field
 
 from service.base.schema import GivenTime
-from service.particles.pages import Names, feed_page, result_stream
+from service.particles.pages import Names, served_after
 from service.results.fields import Result, UnknownFieldsError, chosen_fields
 from service.store.reads import seq_before
 from service.web.auth import READABLE
 from service.web.context import Context
-from service.web.feeds import MAX_SEQ, Feed, page_after, require_within
+from service.web.feeds import MAX_SEQ, page_after, require_within
 from service.web.gzipped import TakesGzip
-from service.web.pages import CursorPage
+from service.web.pages import CursorPage, Feed
 from service.web.problems import invalid_request, problem_responses
 
 router = APIRouter(prefix="/results", tags=["results"], dependencies=READABLE)
 
-RESULTS = Feed(kind="result", query=feed_page, is_large=True, last=attrgetter("last_seq"))
-RESULT_STREAM = replace(RESULTS, query=result_stream, is_stream=True)
+RESULTS = Feed(kind="result", find=served_after, is_large=True, last=attrgetter("last_seq"))
 
 
 class ResultsPage(CursorPage):
@@ -86,6 +85,7 @@ async def results(
                 ("query.since", "gives the place that `after` gives: leave out one of them")
             )
         after = await context.store.read(seq_before, since)
-    page = await page_after(context, replace(RESULTS, more=(names, as_gzip)), after, limit, wait_s)
+    feed = replace(RESULTS, choice=names, as_gzip=as_gzip)
+    page = await page_after(context, feed, after, limit, wait_s)
     require_within(page.cursor, after, RESULTS.kind)
     return Response(page.content, media_type="application/json")

@@ -5,10 +5,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, Query, Request
 
-from service.particles.routes.results import RESULT_STREAM, ChosenFields
+from service.particles.routes.results import RESULTS, ChosenFields
 from service.web.auth import require
 from service.web.context import Context
-from service.web.feeds import EVENT_STREAM, MAX_SEQ
+from service.web.feeds import EVENTS, MAX_SEQ
 from service.web.problems import problem_responses
 from service.web.settings import Scope
 from service.web.streams import EventStream, OpenStream, StillAllowed, open_stream
@@ -57,11 +57,10 @@ async def results_stream(
     15 s of silence a comment. Connect again with `Last-Event-ID` to go on. 409 and 410 as of `/results`; what goes
     wrong later is an event `problem`, the last one. `fields` chooses fields as of `/results`.
     """
-    feed = replace(RESULT_STREAM, more=(names,))
-    return await open_stream(context, feed, after, request, allow)
+    return await open_stream(context, replace(RESULTS, choice=names), after, request, allow)
 
 
 @router.get("/events/stream", response_class=EventStream, responses=problem_responses(409, 410))
 async def events_stream(request: Request, context: Context, after: Cursor, allow: Allow) -> OpenStream:
     """Stream the events as server-sent events: `/events`, each by its type, like `/results/stream`."""
-    return await open_stream(context, EVENT_STREAM, after, request, allow)
+    return await open_stream(context, EVENTS, after, request, allow)
