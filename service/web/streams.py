@@ -6,7 +6,7 @@ like any other (`service.web.connections`).
 
 import asyncio
 import logging
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator
 from contextlib import aclosing
 from dataclasses import replace
 
@@ -15,12 +15,14 @@ from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from service.base.errors import ProblemError, StoreError
+from service.web.auth import require
 from service.web.context import ApiContext
 from service.web.feeds import page_after, require_within
-from service.web.pages import CursorPage, Feed, FeedPage, server_sent
+from service.web.pages import Feed, FeedPage, server_sent
 from service.web.problems import Problem, failure_of, problem_document, problem_of, store_unavailable
 from service.web.reader_process import BusyError
 from service.web.request_ids import request_id_of
+from service.web.settings import Scope as KeyScope
 
 log = logging.getLogger(__name__)
 
@@ -31,7 +33,7 @@ PAGE = 100
 """Items that are sent at a time."""
 BUSY_PAUSE_S = 2.0
 
-StillAllowed = Callable[[], Awaitable[None]]
+may_read = require(KeyScope.READ)
 """Raises the problem 401 or 403 when the key that opened the stream is not valid any more."""
 
 
@@ -59,9 +61,7 @@ class OpenStream(EventStream):
                 await super().__call__(scope, receive, send)
 
 
-async def open_stream(
-    context: ApiContext, feed: Feed, after: int, request: Request, allow: StillAllowed
-) -> OpenStream:
+async def open_stream(context: ApiContext, feed: Feed, after: int, request: Request) -> OpenStream:
     """Return the stream of a feed.
 
     Raises
@@ -73,21 +73,21 @@ async def open_stream(
     feed = replace(feed, is_stream=True)
     page = await page_after(context, feed, after, 1)
     require_within(page.cursor, after, feed.kind)
-    return OpenStream(context, _chunks(context, feed, after, allow), request)
+    return OpenStream(context, _chunks(context, feed, after, request), request)
 
 
 async def _chunks(
-    context: ApiContext, feed: Feed, after: int, allow: StillAllowed
+    context: ApiContext, feed: Feed, after: int, request: Request
 ) -> AsyncGenerator[bytes, None]:
     """Yield pages as server-sent events, and something at least every `HEARTBEAT_S`."""
     store, is_begun = context.store, False
     while True:
-        await allow()
+        await may_read(request, context)
         await context.waking.turn()
         page = await _patient_page(context, feed, after)
         if not is_begun:
             is_begun = True
-            yield _history(page.cursor)
+            yield server_sent("history", page.cursor.model_dump(exclude={"next_after"}))
         require_within(page.cursor, after, feed.kind)
         if page.cursor.next_after != after:
             after = page.cursor.next_after
@@ -118,8 +118,7 @@ async def _with_problems(
 
 
 def _sent_problem(problem: Problem, request: Request) -> bytes:
-    document = problem_document(problem, request.scope["path"], request_id_of(request))
-    return server_sent("problem", document)
+    return server_sent("problem", problem_document(problem, request.scope["path"], request_id_of(request)))
 
 
 async def _patient_page(context: ApiContext, feed: Feed, after: int) -> FeedPage:
@@ -129,9 +128,3 @@ async def _patient_page(context: ApiContext, feed: Feed, after: int) -> FeedPage
             return await page_after(context, feed, after, PAGE)
         except BusyError:
             await asyncio.sleep(BUSY_PAUSE_S)
-
-
-def _history(cursor: CursorPage) -> bytes:
-    """Return the first event of a stream: the id of the history, and its first and last number."""
-    data = cursor.model_dump(exclude={"next_after"})
-    return server_sent("history", data)

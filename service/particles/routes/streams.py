@@ -6,16 +6,13 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Header, Query, Request
 
 from service.particles.routes.results import RESULTS, ChosenFields
-from service.web.auth import require
+from service.web.auth import READABLE
 from service.web.context import Context
 from service.web.feeds import EVENTS, MAX_SEQ
 from service.web.problems import problem_responses
-from service.web.settings import Scope
-from service.web.streams import EventStream, OpenStream, StillAllowed, open_stream
+from service.web.streams import EventStream, OpenStream, open_stream
 
-router = APIRouter(tags=["streams"])
-
-may_read = require(Scope.READ)
+router = APIRouter(tags=["streams"], dependencies=READABLE)
 
 
 async def cursor(
@@ -36,20 +33,12 @@ async def cursor(
     return after if last_event_id is None else last_event_id
 
 
-async def still_allowed(
-    request: Request, context: Context, _: Annotated[None, Depends(may_read)]
-) -> StillAllowed:
-    """Return the check that the key of the request may still read."""
-    return lambda: may_read(request, context)
-
-
 Cursor = Annotated[int, Depends(cursor)]
-Allow = Annotated[StillAllowed, Depends(still_allowed)]
 
 
 @router.get("/results/stream", response_class=EventStream, responses=problem_responses(409, 410))
 async def results_stream(
-    request: Request, context: Context, names: ChosenFields, after: Cursor, allow: Allow
+    request: Request, context: Context, names: ChosenFields, after: Cursor
 ) -> OpenStream:
     """Stream the results as server-sent events: the feed.
 
@@ -57,10 +46,10 @@ async def results_stream(
     15 s of silence a comment. Connect again with `Last-Event-ID` to go on. 409 and 410 as of `/results`; what goes
     wrong later is an event `problem`, the last one. `fields` chooses fields as of `/results`.
     """
-    return await open_stream(context, replace(RESULTS, choice=names), after, request, allow)
+    return await open_stream(context, replace(RESULTS, choice=names), after, request)
 
 
 @router.get("/events/stream", response_class=EventStream, responses=problem_responses(409, 410))
-async def events_stream(request: Request, context: Context, after: Cursor, allow: Allow) -> OpenStream:
+async def events_stream(request: Request, context: Context, after: Cursor) -> OpenStream:
     """Stream the events as server-sent events: `/events`, each by its type, like `/results/stream`."""
-    return await open_stream(context, EVENTS, after, request, allow)
+    return await open_stream(context, EVENTS, after, request)

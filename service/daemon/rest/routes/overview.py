@@ -6,13 +6,12 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Request, Response
 
 from service.daemon.overview.overview_documents import OverviewDocument
-from service.daemon.overview.overviews import Overview, Overviews
-from service.particles.routes.streams import Allow
+from service.daemon.overview.overviews import Overviews
 from service.web.auth import READABLE
 from service.web.context import ApiContext, Context
-from service.web.streams import EventStream, OpenStream, StillAllowed
+from service.web.streams import EventStream, OpenStream, may_read
 
-router = APIRouter(prefix="/overview", tags=["overview"])
+router = APIRouter(prefix="/overview", tags=["overview"], dependencies=READABLE)
 
 
 def _overviews(request: Request) -> Overviews:
@@ -23,7 +22,7 @@ def _overviews(request: Request) -> Overviews:
 Made = Annotated[Overviews, Depends(_overviews)]
 
 
-@router.get("", response_model=OverviewDocument, dependencies=READABLE)
+@router.get("", response_model=OverviewDocument)
 async def overview(overviews: Made) -> Response:
     """Get the overview: state, lot, main figures, counts, cameras, alarms and the newest stones in one document.
 
@@ -34,29 +33,23 @@ async def overview(overviews: Made) -> Response:
 
 
 @router.get("/stream", response_class=EventStream)
-async def overview_stream(request: Request, context: Context, overviews: Made, allow: Allow) -> OpenStream:
+async def overview_stream(request: Request, context: Context, overviews: Made) -> OpenStream:
     """Stream the overview as server-sent events: an `overview` at once, then whenever it is another one.
 
     At most one comes in 0.7 s; one that does not change comes again after 5 s, so hear nothing for 10 s, and connect
     again. Ages and temperatures alone are no change. What goes wrong later is an event `problem`, the last one.
     """
     context.streams.require_room(request)
-    return OpenStream(context, _chunks(context, overviews, allow), request)
+    return OpenStream(context, _chunks(context, overviews, request), request)
 
 
-async def _chunks(
-    context: ApiContext, overviews: Overviews, allow: StillAllowed
-) -> AsyncGenerator[bytes, None]:
-    await allow()
+async def _chunks(context: ApiContext, overviews: Overviews, request: Request) -> AsyncGenerator[bytes, None]:
+    await may_read(request, context)
     found = await overviews.now()
     while True:
-        yield _sent(found)
+        yield b"event: overview\ndata: " + found.content + b"\n\n"
         if context.store.is_released:
             return
         found = await overviews.another_than(found.version)
-        await allow()
+        await may_read(request, context)
         await context.waking.turn()
-
-
-def _sent(overview: Overview) -> bytes:
-    return b"event: overview\ndata: " + overview.content + b"\n\n"
