@@ -11,8 +11,8 @@ from service.base.status import AcquisitionStatus, CameraStatus, ConfigurationSt
 from service.calibration.calibrations import Calibrations
 from service.calibration.verifications import VerificationState
 from service.configuration.settings import Settings
+from service.daemon.diagnostics.archive import Inputs
 from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
-from service.daemon.diagnostics.inputs import Inputs
 from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import LoopWatch
 from service.daemon.overview.result_delays import ResultDelays

@@ -11,7 +11,7 @@ from support.remeasuring import AgainPool, remeasuring_of
 from support.rest import FakeControl, app_of, client_of
 from support.webhook_receiver import SECRET, Receiver
 
-from service.daemon.diagnostics.inputs import Inputs, Secrets
+from service.daemon.diagnostics.archive import Inputs
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 from service.delivery.webhooks import Webhooks, open_webhooks
 from service.health.alarms.alarms import Alarms, open_alarms
@@ -41,7 +41,7 @@ def control(tmp_path: Path) -> FakeControl:
                 min_free_bytes=0,
                 workers=1,
             ),
-            secrets=Secrets(values=frozenset(), files=()),
+            secrets=frozenset(),
             configuration={},
         ),
     )

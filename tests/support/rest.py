@@ -38,7 +38,7 @@ from service.base.status import (
 )
 from service.calibration.calibrations import Calibrations
 from service.configuration.settings import Settings
-from service.daemon.diagnostics.inputs import Inputs
+from service.daemon.diagnostics.archive import Inputs
 from service.daemon.overview.result_delays import ResultDelays
 from service.daemon.rest import app
 from service.daemon.running_daemon import rig_standing

@@ -15,18 +15,19 @@ import sys
 import tarfile
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 from drivers.files.rig_file import read_rig
 from drivers.files.times import utc_now
 from service.base.redaction import scrubbed, scrubbed_document
 from service.calibration.files import CalibrationFiles
-from service.daemon.diagnostics.inputs import Inputs
 from service.health.alarms.alarms import history
 from service.host.host import Host
 from service.host.machine import check_host
+from service.host.machine import HostNeeds
 from service.results.version import ALGORITHM_VERSION
 from service.store import read
 from service.store.accounting import accounting
@@ -48,9 +49,23 @@ It has names of devices and addresses of the plant, but no images, no meshes and
 """
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Inputs:
+    """Where to look, and what the running daemon adds; all of it can be pickled."""
+
+    store_dir: Path
+    calibration: Path  # the configured rig file
+    needs: HostNeeds
+    secrets: frozenset[str]
+    """What must not appear in the archive, wherever it stands."""
+    configuration: Mapping[str, Any]  # as JSON has it
+    live: Mapping[str, Any] = field(default_factory=dict)
+    """By the name of the file: documents and texts of the running daemon; empty when none runs."""
+
+
 def build_archive(inputs: Inputs) -> bytes:
     """Return the archive; blocks for seconds."""
-    known = frozenset(inputs.secrets.all())
+    known = inputs.secrets
     texts = {"README.txt": README}
     missing = [] if inputs.live else ["health, cameras, acquisition, alarms, metrics: no daemon runs"]
 

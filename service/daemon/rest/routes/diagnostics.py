@@ -8,8 +8,7 @@ from fastapi import APIRouter, Response
 
 from service.base.status import AcquisitionStatus, ConfigurationState, Health
 from service.calibration.calibrations import Calibrations
-from service.daemon.diagnostics.archive import build_archive
-from service.daemon.diagnostics.inputs import Inputs
+from service.daemon.diagnostics.archive import Inputs, build_archive
 from service.daemon.overview.result_delays import ResultDelays
 from service.daemon.rest.routes.metrics import metrics_of
 from service.web.auth import CONFIGURABLE

@@ -19,9 +19,8 @@ from service.base.redaction import scrubbed
 from service.commands.cli import build_app
 from service.configuration.settings import load_settings
 from service.daemon.diagnostics import archive
-from service.daemon.diagnostics.archive import build_archive
+from service.daemon.diagnostics.archive import Inputs, build_archive
 from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
-from service.daemon.diagnostics.inputs import Inputs, Secrets
 from service.store import open_store
 
 CONFIG = f"""
@@ -98,7 +97,7 @@ def test_known_secrets_never_appear_however_they_look(
         store_dir=inputs.store_dir,
         calibration=inputs.calibration,
         needs=inputs.needs,
-        secrets=Secrets(values=frozenset(secrets), files=()),
+        secrets=frozenset(secrets),
         configuration=inputs.configuration,
         live=live,
     )
