@@ -18,7 +18,7 @@ from drivers.gates.serial_gate import SerialGateSettings
 from pipeline.fall import FALL_HEIGHT_MM, Fall, fall_time_ms, speed_mm_s
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
-from service.base.configured_paths import ConfiguredPath, resolve_path
+from service.base.paths import ConfiguredPath, resolve_path
 from service.base.schema import require_ranges
 from service.bundling.window import BundlingParameters
 

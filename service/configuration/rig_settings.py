@@ -20,7 +20,7 @@ from drivers.factory import AravisBackend, Devices, ReplayBackend
 from drivers.files.recording import RecordingSource
 from pipeline.fall import Fall
 from pipeline.rig.cameras import RigCalibration
-from service.base.configured_paths import ConfiguredPath
+from service.base.paths import ConfiguredPath
 from service.base.schema import require_ranges
 from service.bundling.window import BundlingParameters
 from service.configuration.live_rig import LiveRigSettings, Place

@@ -11,7 +11,7 @@ from pipeline.segmentation.network import NetworkKind
 from pipeline.segmentation.onnx_runtime import onnxruntime
 from pipeline.segmentation.segmenter_choice import SegmenterKind
 from pipeline.segmentation.subtraction import SegmentationParameters
-from service.base.configured_paths import resolve_path
+from service.base.paths import resolve_path
 from service.processing.models.networks import load_model, read_model
 from service.processing.segmenters import SegmenterPlan
 

@@ -20,8 +20,8 @@ from pipeline.uncertainty import QualityParameters
 from pipeline.views.consistency import ConsistencyParameters
 from pipeline.views.quality import ViewsParameters
 from service.acquisition.empty_rig import EmptyRigParameters
-from service.base.configured_paths import ConfiguredPath
 from service.base.errors import SettingsError, StoreError, VolumeModelError
+from service.base.paths import ConfiguredPath
 from service.base.schema import Live, require_ranges
 from service.bundling.window import BundlingParameters
 from service.calibration.verification_limits import VerificationParameters

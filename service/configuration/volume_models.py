@@ -8,8 +8,8 @@ from drivers.files.bounded import read_bounded
 from drivers.files.durable import write_file
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.particle import MeasuringParameters
-from service.base.configured_paths import ConfiguredPath
 from service.base.errors import VolumeModelError
+from service.base.paths import ConfiguredPath
 
 FORMAT = "stonefall-volume/1"
 MAX_BYTES = 100_000

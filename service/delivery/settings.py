@@ -16,8 +16,8 @@ from pydantic import SecretStr
 
 from drivers.files.bounded import read_bounded
 from service.base.addresses import address_of, is_host
-from service.base.configured_paths import ConfiguredPath
 from service.base.language import Language
+from service.base.paths import ConfiguredPath
 from service.base.schema import require_ranges
 from service.store.events import EventType
 

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import typst
-from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+from jinja2 import Template
 from markupsafe import Markup
 from PIL import Image
 
 from service.base.language import Language
+from service.base.templates import templates_in
 from service.reports.content import document_of
 from service.reports.document import NamesAndValues
 from service.reports.drawing import Drawing, svg
@@ -50,14 +51,7 @@ def data_uri(png: bytes | None) -> str | None:
 
 @cache
 def _template() -> Template:
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("page.html")
+    return templates_in(TEMPLATES).get_template("page.html")
 
 
 def render_pdf(data: ReportData, font_folder: Path = DEJAVU) -> bytes:

@@ -13,8 +13,7 @@ from math import isfinite
 from pathlib import Path
 
 from pipeline.gradation.estimates import Estimate
-from service.base.figure_names import figure_names
-from service.base.language import Language
+from service.base.language import Language, figure_names
 
 FOLDER = Path(__file__).with_name("words")
 LONGEST_PRINTED = 400

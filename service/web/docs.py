@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
+
+from service.base.templates import templates_in
 
 
 def docs_page(document: dict[str, Any]) -> str:
@@ -13,13 +14,7 @@ def docs_page(document: dict[str, Any]) -> str:
     for path, operations in (document["paths"] | document["webhooks"]).items():
         for method, operation in operations.items():
             by_tag.setdefault(operation["tags"][0], []).append((path, method.upper(), operation))
-    templates = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        undefined=StrictUndefined,
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    templates = templates_in(Path(__file__).parent)
     templates.filters |= {"kind": _kind, "name_in": _name_in, "prose": _prose}
     explained = {tag["name"]: tag["description"] for tag in document["tags"]}
     return templates.get_template("docs.html.jinja").render(document, by_tag=by_tag, explained=explained)

@@ -26,8 +26,7 @@ from service.base.redaction import scrubbed, scrubbed_document
 from service.calibration.files import CalibrationFiles
 from service.health.alarms.alarms import history
 from service.host.host import Host
-from service.host.machine import check_host
-from service.host.machine import HostNeeds
+from service.host.machine import HostNeeds, check_host
 from service.results.version import ALGORITHM_VERSION
 from service.store import read
 from service.store.accounting import accounting

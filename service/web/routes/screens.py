@@ -16,11 +16,10 @@ from pathlib import Path
 
 from fastapi import APIRouter, HTTPException, Request
 from fastapi.responses import Response
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from service import screens
-from service.base.figure_names import figure_names
-from service.base.language import Language
+from service.base.language import Language, figure_names
+from service.base.templates import templates_in
 from service.web.etags import unchanged
 from service.web.gzipped import TakesGzip
 
@@ -103,13 +102,7 @@ def installed_screens() -> Screens:
     for path, content in contents.items():
         digest.update(f"{path}\0{len(content)}\0".encode() + content)
     version = digest.hexdigest()[:16]
-    templates = Environment(
-        loader=FileSystemLoader(folder / "pages"),
-        undefined=StrictUndefined,
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    templates = templates_in(folder / "pages")
 
     def rendered(page: Page) -> File:
         html = templates.get_template(f"{page.name}.html").render(
