@@ -18,6 +18,6 @@ class Language(StrEnum):
 
 @cache
 def figure_names(language: Language) -> Mapping[str, str]:
-    """Return the words of pages and reports, `index.` and the field of `Indices`, in their order on paper."""
+    """Return the words of pages and reports, `index.` and the field of `ShapeIndices`, in their order on paper."""
     names = tomllib.loads((FOLDER / f"{language}.toml").read_text(encoding="utf-8"))
     return {f"index.{field}": name for field, name in names.items()}

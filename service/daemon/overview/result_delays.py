@@ -2,12 +2,16 @@
 
 from collections import deque
 
-from prometheus_client import Histogram
+from prometheus_client import Histogram, disable_created_metrics
 
 N_LATEST = 100
 """Outcomes whose delays are remembered one by one."""
 LIMITS_S = (0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.8, 1.0, 1.5, 2.0, 5.0, 10.0, 30.0)
 """Limits of the histogram; 0.26 s pass before the frames of a stone are there."""
+
+
+# the time at which each metric was made says no more than the daemon's start
+disable_created_metrics()  # type: ignore[no-untyped-call]  # of a library that lacks it
 
 
 class ResultDelays:

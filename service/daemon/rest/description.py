@@ -62,21 +62,18 @@ KEY_PARAMETER = {
 }
 
 
+ANSWERS = ("Calibrations", "Recordings", "Standards", "Verifications")
+STATES = ("Acquisition", "Camera", "Recording")
+DOCUMENTS = (
+    *("Activation", "AuditEntry", "Caliper", "CameraCoverage", "Coverage", "CoverageGoals"),
+    *("Run", "SieveSet", "SquareHole", "Verification", "VerifiedBall"),
+)
 FORMER = {
-    "AcquisitionStatus": "Acquisition",
-    "CalibrationsAnswer": "Calibrations",
-    "CameraStatus": "Camera",
-    "RecordingsAnswer": "Recordings",
-    "StandardsAnswer": "Standards",
-    "VerificationsAnswer": "Verifications",
-    "Activation": "ActivationDocument",
+    **{f"{name}Answer": name for name in ANSWERS},
+    **{f"{name}Status": name for name in STATES},
+    **{name: f"{name}Document" for name in DOCUMENTS},
     "Attempt": "DeliveryDocument",
-    "AuditEntry": "AuditEntryDocument",
-    "Caliper": "CaliperDocument",
-    "CameraCoverage": "CameraCoverageDocument",
     "Contacts": "CalipersDocument",
-    "Coverage": "CoverageDocument",
-    "CoverageGoals": "CoverageGoalsDocument",
     "DiaryEntry": "DiaryDocument",
     "Estimate": "Figure",
     "ObservedDrop": "Drop",
@@ -84,15 +81,9 @@ FORMER = {
     "ProductDefinition": "ProductRequest",
     "MappingForm": "Form",
     "Repeatability": "Scatter",
-    "Run": "RunDocument",
     "SampleStudy": "RepeatabilityDocument",
-    "SquareHole": "SquareHoleDocument",
-    "RecordingStatus": "Recording",
-    "SieveSet": "SieveSetDocument",
     "Summary": "VerificationSummary",
-    "Verification": "VerificationDocument",
     "VerificationParameters": "VerificationLimits",
-    "VerifiedBall": "VerifiedBallDocument",
 }
 """Schemas whose dataclass has another name than generated clients know them by."""
 

@@ -5,11 +5,12 @@ the store. `deploy/README.md` lists them, `deploy/alerts.yml` has rules for them
 """
 
 import asyncio
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 from importlib.metadata import version
+from typing import Any
 
 from fastapi import APIRouter, Response
 from prometheus_client import Histogram, generate_latest
@@ -19,7 +20,16 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
 from pipeline.views.quality import Quality
-from service.base.status import AcquisitionState, CameraOptics, CameraStatus, CheckStatus, DeviceState, Ne107
+from service.base.status import (
+    AcquisitionState,
+    AcquisitionStatus,
+    CameraOptics,
+    CameraStatus,
+    CheckStatus,
+    DeviceState,
+    Health,
+    Ne107,
+)
 from service.calibration.calibrations import Calibrations
 from service.calibration.verifications import Verification
 from service.daemon.overview.result_delays import ResultDelays
@@ -41,8 +51,8 @@ NONE_YET = {(Outcome.MEASURED.value, "", quality.value): 0 for quality in Qualit
 """Counted from the beginning: Prometheus sees no increase in the first of a kind that was not there before."""
 SEVERITY = {CheckStatus.PASS: 0, CheckStatus.WARN: 1, CheckStatus.FAIL: 2}
 
-Values = Iterable[tuple[Sequence[str], float | None]]
-"""The values of the labels, and the value of the metric; None is left out."""
+Values = float | Mapping[Any, float | None] | None
+"""The value of a metric, or values by that of its label, or by those of several; None is left out."""
 
 CAMERA_COUNTERS: Sequence[tuple[str, str, Callable[[CameraStatus], float]]] = (
     ("frames", "Frames that arrived complete", lambda camera: camera.frames),
@@ -76,10 +86,10 @@ class Snapshot(Collector):
 
     def collect(self) -> Iterable[Metric]:
         yield from _stones(self.outcomes)
-        yield from _without_created(self.delays.collect())
-        yield from _rig(self.facts)
+        yield from self.delays.collect()
+        yield from _rig(self.facts.acquisition)
         yield from _cameras(self.facts.cameras)
-        yield from _health(self.facts)
+        yield from _health(self.facts.health)
         yield from _machine(self.facts)
         yield from _calibration(self)
         build = {
@@ -117,115 +127,83 @@ async def _text(context: ApiContext) -> bytes:
 
 
 def _stones(outcomes: OutcomeCounts) -> Iterator[Metric]:
-    yield _counter(
-        "stones",
-        "Triggers with an outcome",
-        (NONE_YET | dict(outcomes.n)).items(),
-        labels=("outcome", "reason", "quality"),
-    )
-    yield _gauge("stones_in_progress", "Triggers without an outcome yet", _alone(outcomes.in_progress))
+    by_outcome = NONE_YET | dict(outcomes.n)
+    yield _counter("stones", "Triggers with an outcome", by_outcome, "outcome", "reason", "quality")
+    yield _gauge("stones_in_progress", "Triggers without an outcome yet", outcomes.in_progress)
 
 
-def _rig(facts: Facts) -> Iterator[Metric]:
-    rig = facts.acquisition
+def _rig(rig: AcquisitionStatus) -> Iterator[Metric]:
     yield _one_of("acquisition_state", "1 for the state of the rig", AcquisitionState, rig.state)
-    yield _gauge("gate_armed", "1: the light gate is armed", _alone(rig.gate is DeviceState.ARMED))
-    yield _gauge("cameras", "Cameras of the rig", _alone(rig.cameras))
-    yield _gauge("cameras_armed", "Cameras that are armed", _alone(rig.cameras_armed))
-    yield _gauge("last_stone_age_seconds", "Since the last stone", _alone(rig.last_stone_age_s))
-    for name, text, value in (
-        ("gate_orphans", "Stones that the gate did not announce; since the rig was armed", rig.orphans),
-        ("gate_unseen", "Stones that only the gate's counter shows; since the rig was armed", rig.unseen),
-        ("gate_ignored", "Bounces, and late announcements; since the rig was armed", rig.triggers_ignored),
-        ("frames_refused", "Frames that the daemon was too slow for", rig.events_refused),
-    ):
-        yield _counter(name, text, _alone(value))
+    yield _gauge("gate_armed", "1: the light gate is armed", rig.gate is DeviceState.ARMED)
+    yield _gauge("cameras", "Cameras of the rig", rig.cameras)
+    yield _gauge("cameras_armed", "Cameras that are armed", rig.cameras_armed)
+    yield _gauge("last_stone_age_seconds", "Since the last stone", rig.last_stone_age_s)
+    since = "since the rig was armed"
+    yield _counter("gate_orphans", f"Stones that the gate did not announce; {since}", rig.orphans)
+    yield _counter("gate_unseen", f"Stones that only the gate's counter shows; {since}", rig.unseen)
+    yield _counter("gate_ignored", f"Bounces, and late announcements; {since}", rig.triggers_ignored)
+    yield _counter("frames_refused", "Frames that the daemon was too slow for", rig.events_refused)
 
 
 def _cameras(cameras: Sequence[CameraStatus]) -> Iterator[Metric]:
-    for name, text, value in CAMERA_COUNTERS:
-        values: Values = [((camera.id,), value(camera)) for camera in cameras]
-        yield _counter(f"camera_{name}", text, values, labels=("camera",))
-    for name, text, measured in CAMERA_GAUGES:
-        values = [((camera.id,), measured(camera)) for camera in cameras]
-        yield _gauge(f"camera_{name}", text, values, labels=("camera",))
+    for name, text, n_of in CAMERA_COUNTERS:
+        yield _counter(f"camera_{name}", text, {each.id: n_of(each) for each in cameras}, "camera")
+    for name, text, value_of in CAMERA_GAUGES:
+        yield _gauge(f"camera_{name}", text, {each.id: value_of(each) for each in cameras}, "camera")
 
 
-def _health(facts: Facts) -> Iterator[Metric]:
-    health = facts.health
+def _health(health: Health) -> Iterator[Metric]:
     yield _one_of("ne107_state", "1 for the word of NAMUR NE 107", Ne107, health.ne107)
-    yield _gauge("ready", "1: the next stone will be measured", _alone(health.ready))
-    checks = [((name,), SEVERITY[check.status]) for name, check in health.checks.items()]
-    yield _gauge("health_check", "0: passes, 1: warns, 2: fails", checks, labels=("check",))
+    yield _gauge("ready", "1: the next stone will be measured", health.ready)
+    checks = {name: SEVERITY[check.status] for name, check in health.checks.items()}
+    yield _gauge("health_check", "0: passes, 1: warns, 2: fails", checks, "check")
 
 
 def _machine(facts: Facts) -> Iterator[Metric]:
-    yield _gauge("queue_bundles", "Bundles that wait for a worker", _alone(facts.waiting))
-    yield _gauge("queue_limit_bundles", "Bundles that may wait", _alone(facts.max_waiting))
-    yield _gauge("workers", "Processes that measure", _alone(facts.workers))
-    yield _gauge("workers_configured", "Processes that should", _alone(facts.slots))
-    yield _counter("worker_restarts", "Processes that were replaced", _alone(facts.worker_restarts))
-    yield _counter("archive_left_out", "Results whose frames were not archived", _alone(facts.left_out))
-    seen = facts.refinement
-    yield _gauge("refinement_supported_ratio", "Surface that pixels tell of", _alone(seen.supported_share))
-    yield _gauge("refinement_rushed_ratio", "Stones left out in a rush", _alone(seen.rushed_share))
-    yield _gauge("loop_delay_seconds", "Longest within a minute", _alone(facts.loop_ms / 1e3))
-    yield _gauge("disk_free_bytes", "Of the disk of the store", _alone(facts.free_bytes))
-    if (use := facts.retention.use) is not None:
-        kinds = {
-            "files": use.files_bytes,
-            "results": use.results_bytes,
-            "recordings": facts.retention.recordings_bytes,
-        }
-        yield _gauge(
-            "store_bytes",
-            "What the store takes",
-            [((kind,), n_bytes) for kind, n_bytes in kinds.items()],
-            labels=("kind",),
-        )
-        yield _gauge("disk_days_left", "Until the disk is full", _alone(use.days_left))
+    yield _gauge("queue_bundles", "Bundles that wait for a worker", facts.waiting)
+    yield _gauge("queue_limit_bundles", "Bundles that may wait", facts.max_waiting)
+    yield _gauge("workers", "Processes that measure", facts.workers)
+    yield _gauge("workers_configured", "Processes that should", facts.slots)
+    yield _counter("worker_restarts", "Processes that were replaced", facts.worker_restarts)
+    yield _counter("archive_left_out", "Results whose frames were not archived", facts.left_out)
+    seen, kept = facts.refinement, facts.retention
+    yield _gauge("refinement_supported_ratio", "Surface that pixels tell of", seen.supported_share)
+    yield _gauge("refinement_rushed_ratio", "Stones left out in a rush", seen.rushed_share)
+    yield _gauge("loop_delay_seconds", "Longest within a minute", facts.loop_ms / 1e3)
+    yield _gauge("disk_free_bytes", "Of the disk of the store", facts.free_bytes)
+    if (use := kept.use) is not None:
+        taken = {"files": use.files_bytes, "results": use.results_bytes, "recordings": kept.recordings_bytes}
+        yield _gauge("store_bytes", "What the store takes", taken, "kind")
+        yield _gauge("disk_days_left", "Until the disk is full", use.days_left)
 
 
 def _calibration(snapshot: Snapshot) -> Iterator[Metric]:
     used = snapshot.facts.calibration
     about = {"calibration_id": used.calibration_id, "method": used.method}
     yield InfoMetricFamily("stonefall_calibration", "The calibration in use", about)
-    yield _gauge("calibration_activated_timestamp_seconds", "Since when", _alone(_unix_s(used.used_since)))
+    yield _gauge("calibration_activated_timestamp_seconds", "Since when", _unix_s(used.used_since))
     yield _one_of("verification_state", "1 for what the last balls said", Verified, snapshot.verified)
-    last = snapshot.last_verification
-    if last is not None:
-        seconds = _unix_s(last.changed_at)
-        yield _gauge("verification_timestamp_seconds", "When the last one ended", _alone(seconds))
+    if (last := snapshot.last_verification) is not None:
+        yield _gauge("verification_timestamp_seconds", "When the last one ended", _unix_s(last.changed_at))
 
 
 def _one_of(name: str, text: str, states: type[StrEnum], present: StrEnum) -> Metric:
-    return _gauge(name, text, [((state,), float(state is present)) for state in states], labels=("state",))
+    return _gauge(name, text, {state: state is present for state in states}, "state")
 
 
-def _gauge(name: str, text: str, values: Values, labels: tuple[str, ...] = ()) -> Metric:
+def _gauge(name: str, text: str, values: Values, *labels: str) -> Metric:
     return _filled(GaugeMetricFamily(f"stonefall_{name}", text, labels=labels), values)
 
 
-def _counter(name: str, text: str, values: Values, labels: tuple[str, ...] = ()) -> Metric:
+def _counter(name: str, text: str, values: Values, *labels: str) -> Metric:
     return _filled(CounterMetricFamily(f"stonefall_{name}", text, labels=labels), values)
 
 
 def _filled(family: GaugeMetricFamily | CounterMetricFamily, values: Values) -> Metric:
-    for labels, value in values:
+    for labels, value in (values if isinstance(values, Mapping) else {(): values}).items():
         if value is not None:
-            family.add_metric(labels, value)
+            family.add_metric([labels] if isinstance(labels, str) else labels, value)
     return family
-
-
-def _without_created(metrics: Iterable[Metric]) -> Iterator[Metric]:
-    """Yield metrics without the time at which each was made, which says no more than the daemon's start."""
-    for metric in metrics:
-        metric.samples = [sample for sample in metric.samples if not sample.name.endswith("_created")]
-        yield metric
-
-
-def _alone(value: float | None) -> Values:
-    return [((), value)]
 
 
 def _optics(camera: CameraStatus) -> CameraOptics:
