@@ -1,8 +1,7 @@
 """Show a configuration, or any text, without what must stay secret."""
 
 import re
-from collections.abc import Callable, Collection, Iterable
-from functools import partial
+from collections.abc import Callable, Iterable
 from typing import Any
 
 SECRET_NAME = re.compile(
@@ -65,11 +64,6 @@ def scrubbed(text: str, known: Iterable[str] = ()) -> str:
     for pattern in SECRET_TEXTS:
         text = pattern.sub(REDACTED, text)
     return shown(text)
-
-
-def scrubbed_document(document: Any, known: Collection[str] = ()) -> Any:
-    """Return a document as `redacted` does, with each text and name in it scrubbed."""
-    return redacted(document, partial(scrubbed, known=known))
 
 
 def _shown_url(url: re.Match[str]) -> str:

@@ -9,7 +9,7 @@ from enum import StrEnum
 from http import HTTPStatus
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
 from pipeline.frames import CameraId
 from service.base.errors import ProblemError, ProblemKind
@@ -19,19 +19,18 @@ from service.base.schema import always_present
 class Report(BaseModel):
     """A report of one part of the daemon at one moment."""
 
-    model_config = ConfigDict(frozen=True, json_schema_extra=always_present)
+    model_config = ConfigDict(frozen=True, use_attribute_docstrings=True, json_schema_extra=always_present)
 
 
 class ConfigurationState(Report):
     """What became of the configuration file since the daemon has read it."""
 
-    loaded_at: str = Field(description="When the settings in use were read")
-    restart_needed_for: tuple[str, ...] = Field(
-        description="Settings, as `section.name`, that the file says otherwise by now and a restart alone applies"
-    )
-    problem: str | None = Field(
-        description="Why the file was refused at the last SIGHUP; the settings before stay in use"
-    )
+    loaded_at: str
+    """When the settings in use were read"""
+    restart_needed_for: tuple[str, ...]
+    """Settings, as `section.name`, that the file says otherwise by now and a restart alone applies"""
+    problem: str | None
+    """Why the file was refused at the last SIGHUP; the settings before stay in use"""
 
 
 class DeviceState(StrEnum):
@@ -136,58 +135,51 @@ class Ne107(StrEnum):
 class AcquisitionStatus(Report):
     """State of the rig; counters begin when it is armed."""
 
-    state: AcquisitionState = Field(
-        description="State of the rig; `held`: arming was requested, and devices or the store do not allow it"
-    )
-    trouble: str | None = Field(default=None, description="Why it is held; null when it is not")
-    activity: Literal["idle", "measuring", "suspended"] = Field(
-        default="idle", description="Suspended: armed, and no stone for a minute"
-    )
-    cameras_armed: int = Field(default=0, description="Cameras that expose at each trigger")
-    cameras: int = Field(default=0, description="Cameras of the rig")
-    gate: DeviceState = Field(description="State of the light gate", default=DeviceState.CLOSED)
-    gate_error: str | None = Field(
-        default=None, description="Why the light gate is lost; null when it is not"
-    )
-    gate_warnings: tuple[str, ...] = Field(
-        default=(), description="What works but needs attention, with the remedy"
-    )
-    last_stone_age_s: float | None = Field(
-        default=None, description="Seconds since the last stone; null before the first"
-    )
-    triggers: int = Field(
-        default=0, description="Since the rig was armed, exposures of the empty rig among them"
-    )
-    orphans: int = Field(
-        default=0, description="Stones that the gate did not announce; measured all the same"
-    )
-    unseen: int = Field(
-        default=0,
-        description="Stones that only the gate's counter shows, without announcement or image; lost",
-    )
-    in_dead_time: int = Field(default=0, description="Triggers too soon after another; lost")
-    triggers_ignored: int = Field(
-        default=0,
-        description="Bounces merged by the gate with the stone before them, and late announcements of orphans",
-    )
-    triggers_lost: int = Field(
-        default=0,
-        description="Gaps in the gate's own counter: stones it did not announce, orphans or unseen",
-    )
-    events_refused: int = Field(default=0, description="Frames dropped because the daemon was too slow")
+    state: AcquisitionState
+    """State of the rig; `held`: arming was requested, and devices or the store do not allow it"""
+    trouble: str | None = None
+    """Why it is held; null when it is not"""
+    activity: Literal["idle", "measuring", "suspended"] = "idle"
+    """Suspended: armed, and no stone for a minute"""
+    cameras_armed: int = 0
+    """Cameras that expose at each trigger"""
+    cameras: int = 0
+    """Cameras of the rig"""
+    gate: DeviceState = DeviceState.CLOSED
+    """State of the light gate"""
+    gate_error: str | None = None
+    """Why the light gate is lost; null when it is not"""
+    gate_warnings: tuple[str, ...] = ()
+    """What works but needs attention, with the remedy"""
+    last_stone_age_s: float | None = None
+    """Seconds since the last stone; null before the first"""
+    triggers: int = 0
+    """Since the rig was armed, exposures of the empty rig among them"""
+    orphans: int = 0
+    """Stones that the gate did not announce; measured all the same"""
+    unseen: int = 0
+    """Stones that only the gate's counter shows, without announcement or image; lost"""
+    in_dead_time: int = 0
+    """Triggers too soon after another; lost"""
+    triggers_ignored: int = 0
+    """Bounces merged by the gate with the stone before them, and late announcements of orphans"""
+    triggers_lost: int = 0
+    """Gaps in the gate's own counter: stones it did not announce, orphans or unseen"""
+    events_refused: int = 0
+    """Frames dropped because the daemon was too slow"""
 
 
 class HealthCheck(Report):
     """Result of one check of the daemon's health."""
 
-    status: CheckStatus = Field(description="Result of the check")
-    observed_value: float | int | str | bool | None = Field(
-        default=None, description="What was observed; null when there is no value"
-    )
-    observed_unit: str | None = Field(default=None, description="Unit of `observed_value`; null: none")
-    detail: str | None = Field(
-        default=None, description="What is wrong and what to do, in words; null when nothing is"
-    )
+    status: CheckStatus
+    """Result of the check"""
+    observed_value: float | int | str | bool | None = None
+    """What was observed; null when there is no value"""
+    observed_unit: str | None = None
+    """Unit of `observed_value`; null: none"""
+    detail: str | None = None
+    """What is wrong and what to do, in words; null when nothing is"""
 
 
 Checks = Mapping[str, HealthCheck]
@@ -236,103 +228,103 @@ class CameraOptics(Report):
     background is kept.
     """
 
-    brightness: float | None = Field(
-        default=None, description="Light on the wall beside the stone, 1: as in the clean rig"
-    )
-    gradient_u: float | None = Field(
-        default=None, description="Change of the brightness from the left border to the right one"
-    )
-    gradient_v: float | None = Field(
-        default=None, description="Change of the brightness from the upper border to the lower one"
-    )
-    flicker: float | None = Field(
-        default=None, description="Standard deviation of the brightness from exposure to exposure"
-    )
-    dust: float | None = Field(default=None, description="Share of the light lost in patches, 0..1")
-    spots_share: float | None = Field(
-        default=None, description="Share of the view darker than its surroundings, 0..1"
-    )
-    saturated_share: float | None = Field(
-        default=None, description="Share of all pixels that are saturated, 0..1"
-    )
-    noise_grey: float | None = Field(default=None, description="Noise of a pixel, grey levels")
-    edge_width_px: float | None = Field(default=None, description="Width of outlines from 10 to 90 %, px")
-    edge_width_u_px: float | None = Field(
-        default=None,
-        description="The same across u: greater than across v where stones or camera move along u",
-    )
-    edge_width_v_px: float | None = Field(default=None, description="The same across v")
-    contrast: float | None = Field(
-        default=None, description="Contrast of stone and wall at the outline, share of the wall's level"
-    )
+    brightness: float | None = None
+    """Light on the wall beside the stone, 1: as in the clean rig"""
+    gradient_u: float | None = None
+    """Change of the brightness from the left border to the right one"""
+    gradient_v: float | None = None
+    """Change of the brightness from the upper border to the lower one"""
+    flicker: float | None = None
+    """Standard deviation of the brightness from exposure to exposure"""
+    dust: float | None = None
+    """Share of the light lost in patches, 0..1"""
+    spots_share: float | None = None
+    """Share of the view darker than its surroundings, 0..1"""
+    saturated_share: float | None = None
+    """Share of all pixels that are saturated, 0..1"""
+    noise_grey: float | None = None
+    """Noise of a pixel, grey levels"""
+    edge_width_px: float | None = None
+    """Width of outlines from 10 to 90 %, px"""
+    edge_width_u_px: float | None = None
+    """The same across u: greater than across v where stones or camera move along u"""
+    edge_width_v_px: float | None = None
+    """The same across v"""
+    contrast: float | None = None
+    """Contrast of stone and wall at the outline, share of the wall's level"""
 
 
 class CameraStatus(Report):
     """State of one camera; counters begin when the daemon starts, unless a field says otherwise."""
 
-    id: CameraId = Field(description="Place of the camera in the rig, such as `c01`")
-    state: DeviceState = Field(description="Whether it exposes, is closed, or does not answer")
-    ne107: Ne107 = Field(default=Ne107.GOOD, description="Its state in the terms of NAMUR NE 107")
-    last_error: str | None = Field(default=None, description="Why it was last lost; null when it never was")
-    recoveries: int = Field(default=0, description="How often it came back from a loss")
-    serial: str | None = Field(default=None, description="Serial number; null while unknown")
-    model: str | None = Field(default=None, description="Vendor's name of the model; null while unknown")
-    address: str | None = Field(default=None, description="Its network address; null while unknown")
-    frames: int = Field(default=0, description="Frames that arrived complete")
-    fps: float = Field(default=0.0, description="Frames per second over the last ten seconds")
-    lost: int = Field(default=0, description="Frames reported lost")
-    late: int = Field(default=0, description="Frames that came after their bundle was closed")
-    duplicates: int = Field(default=0, description="Frames that came twice")
-    missing: int = Field(default=0, description="Bundles without a frame of this camera")
-    strays: int = Field(default=0, description="Frames without a trigger")
-    not_exposed: int = Field(default=0, description="Triggers that it did not expose for, by its frame ids")
-    unannounced: int = Field(default=0, description="Exposures without a trigger, by its frame ids")
-    failed_frames: int = Field(default=0, description="Frames received in part, since it was opened")
-    missing_packets: int = Field(default=0, description="Packets that never came, since it was opened")
-    resent_packets: int = Field(
-        default=0, description="Packets that came when requested again, since it was opened"
-    )
-    receive_buffer_bytes: int | None = Field(
-        default=None, description="Size of its socket's buffer, as the kernel granted it"
-    )
-    temperature_c: float | None = Field(
-        default=None, description="Temperature of the camera, °C; null when it reports none"
-    )
-    ptp_offset_ns: int | None = Field(
-        default=None, description="Offset from the PTP master's clock; null without PTP"
-    )
-    latency_ms: float | None = Field(
-        default=None, description="From trigger to arrival, mean of the latest 64 bundles"
-    )
-    latency_min_ms: float | None = Field(default=None, description="The least of these, ms")
-    latency_max_ms: float | None = Field(default=None, description="The greatest of these, ms")
-    last_frame_age_s: float | None = Field(
-        default=None, description="Seconds since the last frame; null before it"
-    )
-    skew_us: float | None = Field(
-        default=None,
-        description="By how much its exposures are off those of the others in time; 20 us are a pixel of fall",
-    )
-    tangency_px: float | None = Field(
-        default=None,
-        description="Epipolar residual of its outlines, median of the latest 20 stones; from 0.3 it has moved",
-    )
-    tangency_drift_px: float | None = Field(
-        default=None,
-        description="Its rise since the first 20 stones after the start or the activation of this calibration",
-    )
-    residual_px: float | None = Field(
-        default=None,
-        description="By how much its outlines leave the hull of the other views, median of the latest 20 stones",
-    )
-    residual_drift_px: float | None = Field(
-        default=None,
-        description="Its rise since the first 20 stones after the start or the activation of this calibration",
-    )
-    optics: CameraOptics | None = Field(default=None, description="How well it sees")
-    warnings: tuple[str, ...] = Field(
-        default=(), description="What works but needs attention, with the remedy"
-    )
+    id: CameraId
+    """Place of the camera in the rig, such as `c01`"""
+    state: DeviceState
+    """Whether it exposes, is closed, or does not answer"""
+    ne107: Ne107 = Ne107.GOOD
+    """Its state in the terms of NAMUR NE 107"""
+    last_error: str | None = None
+    """Why it was last lost; null when it never was"""
+    recoveries: int = 0
+    """How often it came back from a loss"""
+    serial: str | None = None
+    """Serial number; null while unknown"""
+    model: str | None = None
+    """Vendor's name of the model; null while unknown"""
+    address: str | None = None
+    """Its network address; null while unknown"""
+    frames: int = 0
+    """Frames that arrived complete"""
+    fps: float = 0.0
+    """Frames per second over the last ten seconds"""
+    lost: int = 0
+    """Frames reported lost"""
+    late: int = 0
+    """Frames that came after their bundle was closed"""
+    duplicates: int = 0
+    """Frames that came twice"""
+    missing: int = 0
+    """Bundles without a frame of this camera"""
+    strays: int = 0
+    """Frames without a trigger"""
+    not_exposed: int = 0
+    """Triggers that it did not expose for, by its frame ids"""
+    unannounced: int = 0
+    """Exposures without a trigger, by its frame ids"""
+    failed_frames: int = 0
+    """Frames received in part, since it was opened"""
+    missing_packets: int = 0
+    """Packets that never came, since it was opened"""
+    resent_packets: int = 0
+    """Packets that came when requested again, since it was opened"""
+    receive_buffer_bytes: int | None = None
+    """Size of its socket's buffer, as the kernel granted it"""
+    temperature_c: float | None = None
+    """Temperature of the camera, °C; null when it reports none"""
+    ptp_offset_ns: int | None = None
+    """Offset from the PTP master's clock; null without PTP"""
+    latency_ms: float | None = None
+    """From trigger to arrival, mean of the latest 64 bundles"""
+    latency_min_ms: float | None = None
+    """The least of these, ms"""
+    latency_max_ms: float | None = None
+    """The greatest of these, ms"""
+    last_frame_age_s: float | None = None
+    """Seconds since the last frame; null before it"""
+    skew_us: float | None = None
+    """By how much its exposures are off those of the others in time; 20 us are a pixel of fall"""
+    tangency_px: float | None = None
+    """Epipolar residual of its outlines, median of the latest 20 stones; from 0.3 it has moved"""
+    tangency_drift_px: float | None = None
+    """Its rise since the first 20 stones after the start or the activation of this calibration"""
+    residual_px: float | None = None
+    """By how much its outlines leave the hull of the other views, median of the latest 20 stones"""
+    residual_drift_px: float | None = None
+    """Its rise since the first 20 stones after the start or the activation of this calibration"""
+    optics: CameraOptics | None = None
+    """How well it sees"""
+    warnings: tuple[str, ...] = ()
+    """What works but needs attention, with the remedy"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,7 +4,6 @@ Everything that goes in passes `add`, which scrubs it: known secrets wherever th
 part that cannot be read is named in `missing.txt` and takes nothing else with it.
 """
 
-import gzip
 import io
 import json
 import os
@@ -16,13 +15,14 @@ import tarfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from drivers.files.rig_file import read_rig
 from drivers.files.times import utc_now
-from service.base.redaction import scrubbed, scrubbed_document
+from service.base.redaction import redacted, scrubbed
 from service.calibration.files import CalibrationFiles
 from service.health.alarms.alarms import history
 from service.host.host import Host
@@ -74,7 +74,7 @@ def build_archive(inputs: Inputs) -> bytes:
         else:
             # as JSON and back: whatever was in it is plain values then
             plain = json.loads(json.dumps(content, default=str))
-            text = json.dumps(scrubbed_document(plain, known), indent=1, ensure_ascii=False)
+            text = json.dumps(redacted(plain, partial(scrubbed, known=known)), indent=1, ensure_ascii=False)
         data = text.encode()
         if len(data) > MAX_PART_BYTES:
             missing.append(f"{name}: its first {len(data) - MAX_PART_BYTES} bytes")
@@ -98,10 +98,7 @@ def build_archive(inputs: Inputs) -> bytes:
 
 def _packed(texts: Mapping[str, str]) -> bytes:
     packed = io.BytesIO()
-    with (
-        gzip.GzipFile(fileobj=packed, mode="wb", compresslevel=6) as zipped,
-        tarfile.open(fileobj=zipped, mode="w") as tar,
-    ):
+    with tarfile.open(fileobj=packed, mode="w:gz", compresslevel=6) as tar:
         for name, text in texts.items():
             data = text.encode()
             member = tarfile.TarInfo(f"{FOLDER}/{name}")

@@ -114,12 +114,8 @@ def _object(fields: dict[str, Any]) -> dict[str, Any]:
     return {"type": "object", "properties": fields, "required": list(fields)}
 
 
-def _message_name(details: str) -> str:
-    return details.removesuffix("Details").removesuffix("Document") + "Message"
-
-
 MESSAGES: dict[str, Any] = {
-    _message_name(details): _message(
+    f"{details.removesuffix('Details').removesuffix('Document')}Message": _message(
         types, {"type": "integer"}, {"anyOf": [_reference(details), {"type": "null"}]}
     )
     for details, (_, types) in DETAILS.items()
