@@ -40,6 +40,7 @@ def parts_of(daemon: Daemon, file_drop: FileDrop, reading: Reading, requests: St
     """
     session, watches, calibrations = daemon.session, daemon.watches, daemon.calibrations
     store, archive, retaining = session.store, daemon.archive, daemon.retaining
+    processing, acquisition = daemon.processing, daemon.acquisition
     alarming = Alarming(daemon.alarms, session.events)
     backing_up = BackingUp(store, session.settings.store)
     return [
@@ -55,27 +56,19 @@ def parts_of(daemon: Daemon, file_drop: FileDrop, reading: Reading, requests: St
             checks=lambda: store_checks(store, daemon.spool.n_waiting),
         ),
         Part(run=daemon.spool.write, close=lambda running: running, checks=daemon.spool.checks),
-        Part(
-            run=daemon.processing.run,
-            close=partial(_end_processing, daemon, requests),
-            checks=daemon.pool.checks,
-        ),
+        Part(run=processing.run, close=partial(_end_processing, daemon, requests), checks=daemon.pool.checks),
         Part(
             run=calibrations.run,
             checks=calibrations.checks,
             use=lambda new: calibrations.verifications.use(new.verification),
         ),
         Part(
-            run=daemon.acquisition.run,
-            close=partial(_end_acquisition, daemon.acquisition, requests),
-            checks=daemon.acquisition.checks,
+            run=acquisition.run,
+            close=partial(_end_acquisition, acquisition, requests),
+            checks=acquisition.checks,
         ),
         Part(checks=lambda: {"progress": watches.progress.check(time.monotonic())}),
-        Part(
-            checks=lambda: watches.segmentation.checks(
-                has_background=daemon.processing.background is not None
-            )
-        ),
+        Part(checks=lambda: watches.segmentation.checks(has_background=processing.background is not None)),
         Part(checks=watches.rig.checks),
         Part(checks=watches.optics.checks, use=lambda new: watches.optics.use(new.optics)),
         Part(checks=watches.refinement.checks),

@@ -9,7 +9,6 @@ from typing import TypeVar, cast
 from service.acquisition.acquisition import Acquisition
 from service.base.status import AcquisitionStatus, CameraStatus, ConfigurationState, Health
 from service.calibration.calibrations import Calibrations
-from service.calibration.verifications import VerificationState
 from service.configuration.settings import Settings
 from service.daemon.diagnostics.archive import Inputs
 from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
@@ -176,9 +175,7 @@ def rig_standing(calibrations: Calibrations) -> RigStanding:
         else LastVerification(
             id=last.id,
             at=last.changed_at,
-            outcome=VerificationOutcome.PASSED
-            if last.state is VerificationState.PASSED
-            else VerificationOutcome.FAILED,
+            outcome=VerificationOutcome(last.state),
             diameter_mm=last.diameter_mm,
             error_mm=None if last.summary is None else last.summary.error_mm,
         ),

@@ -4,13 +4,12 @@ import json
 from base64 import b64encode
 from dataclasses import fields
 from datetime import datetime
-from functools import cache, partial
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import typst
-from jinja2 import Template
 from markupsafe import Markup
 from PIL import Image
 
@@ -39,7 +38,8 @@ def render_html(data: ReportData) -> bytes:
     def drawn(drawing: Drawing) -> Markup:
         return Markup(svg(drawing, Language(document.language)))  # noqa: S704 - all texts in it are escaped by svg()
 
-    text = _template().render(document=document, drawn=drawn, data_uri=data_uri)
+    template = templates_in(TEMPLATES).get_template("page.html")
+    text = template.render(document=document, drawn=drawn, data_uri=data_uri)
     return text.encode("utf-8", "replace")
 
 
@@ -47,11 +47,6 @@ def data_uri(png: bytes | None) -> str | None:
     """Return a picture as an address that holds it; None if it is none."""
     found = readable_png(png)
     return None if found is None else "data:image/png;base64," + b64encode(found).decode("ascii")
-
-
-@cache
-def _template() -> Template:
-    return templates_in(TEMPLATES).get_template("page.html")
 
 
 def render_pdf(data: ReportData, font_folder: Path = DEJAVU) -> bytes:
