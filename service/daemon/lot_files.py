@@ -40,10 +40,7 @@ def lot_files(
 ) -> LotFiles | None:
     """Return the files of a lot as it is at one moment, None if there is none.
 
-    Raises
-    ------
-    FilesFailedError
-        They cannot be made, for whatever reason.
+    Raises `FilesFailedError` when they cannot be made, for whatever reason.
     """
     try:
         with worker_boundary(), connect_reader(path) as connection:

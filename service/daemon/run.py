@@ -43,12 +43,8 @@ FULL_S = 2.0
 async def run(settings: Settings, manager: ServiceManager, file: Path) -> None:
     """Measure stones until a signal asks to stop; on SIGHUP read the configuration `file` again.
 
-    Raises
-    ------
-    ServiceError, DriverError
-        A part cannot be started.
-    ExceptionGroup
-        A part failed beyond what it handles itself.
+    Raises `ServiceError` or `DriverError` when a part cannot be started, `ExceptionGroup` when one fails beyond what it
+    handles itself.
     """
     keep_freed_memory()
     requests = StopRequests()

@@ -102,10 +102,7 @@ class Daemon:
     async def apply(self, old: Settings, new: Settings) -> None:
         """Put the settings that need no restart into the parts that work with them; `lots` is read from the settings.
 
-        Raises
-        ------
-        StoreError
-            The store cannot note new endpoints; nothing is changed.
+        Raises `StoreError` when the store cannot note new endpoints; nothing is changed then.
         """
         if new.webhooks != old.webhooks:  # first, as no other part can refuse
             await self.webhooks.use(new.webhooks)

@@ -75,10 +75,7 @@ READABLE, OPERABLE, CONFIGURABLE = ([Depends(require(scope))] for scope in Scope
 def asker_of(request: Request, context: Context, *, counts_guess: bool = True) -> Asker:
     """Authenticate a request: by bearer token, else by the cookie of a session, else by its source address.
 
-    Raises
-    ------
-    Problem
-        401 for a token that is none, or none any more, and 429 after too many of these.
+    Raises the problem 401 for a token that is none, or none any more, and 429 after too many of these.
     """
     keys = context.keys
     keys.refresh()
@@ -116,10 +113,8 @@ def has_right_key(request: Request, context: ApiContext) -> bool:
 def checked_key(request: Request, context: ApiContext, token: str, *, counts_guess: bool = True) -> AccessKey:
     """Authenticate a bearer token.
 
-    Raises
-    ------
-    Problem
-        401: there is none, or it was revoked or has expired; 429: there is none, after too many others from there.
+    Raises the problem 401 when there is none, or it was revoked or has expired; 429 when there is none, after too many
+    others from there.
     """
     key = context.keys.find(token)
     if key is not None:

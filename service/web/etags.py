@@ -59,10 +59,7 @@ def change_if_match(
     `current` returns None for what is not there yet and the change would create. Where the change would create nothing
     it raises the 404 itself, which goes before any 412 (RFC 9110, section 13.2.1).
 
-    Raises
-    ------
-    Problem
-        412: there is another version, or none, which `If-Match: *` does not name either.
+    Raises the problem 412 when there is another version, or none, which `If-Match: *` does not name either.
     """
     if if_match is None:
         return change(connection, *arguments)

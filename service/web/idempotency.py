@@ -85,12 +85,8 @@ class GuardedRequest:
     async def begin(self, who: str, request: Request) -> None:
         """Return if the request is to be carried out.
 
-        Raises
-        ------
-        AnsweredBeforeError
-            It was carried out before.
-        Problem
-            The key is not valid, was used for another request, or its first request is still under way.
+        Raises `AnsweredBeforeError` when it was carried out before, `Problem` when the key is not valid, was used for
+        another request, or its first request is still under way.
         """
         if not KEY.fullmatch(self._key):
             raise invalid_request((f"header.{HEADER}", "must be 1 to 128 visible ASCII characters"))

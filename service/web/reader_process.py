@@ -86,10 +86,7 @@ class ReaderProcess:
     async def run(self, function: Callable[..., T], *arguments: object) -> T:
         """Return `function(*arguments)`.
 
-        Raises
-        ------
-        BusyError
-            `MAX_WAITING` requests wait already, or the process died or took too long twice.
+        Raises `BusyError` when `MAX_WAITING` requests wait already, or the process died or took too long twice.
         """
         if self._n_waiting >= MAX_WAITING:
             raise BusyError("too many other requests are waiting: try again in 2 s")

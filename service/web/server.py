@@ -45,10 +45,7 @@ class RestServer(uvicorn.Server):
 def listen(host: str, port: int) -> socket.socket:
     """Return a listening socket; bound before anything else starts, so that an address in use shows at once.
 
-    Raises
-    ------
-    ServiceError
-        The address cannot be listened on; names it.
+    Raises `ServiceError`, which names the address, when it cannot be listened on.
     """
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]

@@ -64,10 +64,7 @@ class OpenStream(EventStream):
 async def open_stream(context: ApiContext, feed: Feed, after: int, request: Request) -> OpenStream:
     """Return the stream of a feed.
 
-    Raises
-    ------
-    CursorError, Problem
-        The feed does not have what follows `after`, or too many streams are open.
+    Raises `CursorError` when the feed does not have what follows `after`, `Problem` when too many streams are open.
     """
     context.streams.require_room(request)
     feed = replace(feed, is_stream=True)
