@@ -2,10 +2,4 @@
 
 from service.particles.routes import particle_files, particles, results, streams
 
-ROUTERS = (
-    results.router,
-    particles.router,
-    particle_files.router,
-    particles.pins,
-    streams.router,
-)
+ROUTERS = (results.router, particles.router, particle_files.router, particles.pins, streams.router)

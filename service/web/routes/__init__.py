@@ -2,10 +2,4 @@
 
 from service.web.routes import accounting, audit, consumers, events, session
 
-ROUTERS = (
-    session.router,
-    events.router,
-    consumers.router,
-    accounting.router,
-    audit.router,
-)
+ROUTERS = (session.router, events.router, consumers.router, accounting.router, audit.router)

@@ -2,9 +2,4 @@
 
 from service.daemon.rest.routes import configuration, diagnostics, metrics, overview
 
-ROUTERS = (
-    overview.router,
-    metrics.router,
-    configuration.router,
-    diagnostics.router,
-)
+ROUTERS = (overview.router, metrics.router, configuration.router, diagnostics.router)
