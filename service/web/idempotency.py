@@ -43,7 +43,7 @@ class AnsweredBeforeError(Exception):
 
 
 def keeping_answers(app: ASGIApp, store: Store) -> ASGIApp:
-    """Keep the answers of `app` to POSTs with an idempotency key."""
+    """Keep the answers of `app` to POSTs with an idempotency key, and give them again."""
     under_way: dict[tuple[str, str], GuardedRequest] = {}
 
     async def kept_answers(scope: Scope, receive: Receive, send: Send) -> None:
@@ -61,6 +61,12 @@ def keeping_answers(app: ASGIApp, store: Store) -> ASGIApp:
         try:
             await app(scope, receive, hold)
             await attempt.keep(messages)
+        except AnsweredBeforeError as error:
+            attempt.end()
+            before = error.answer
+            response = Response(before.body, before.status, headers={**before.headers, REPLAYED: "true"})
+            await response(scope, receive, send)
+            return
         except BaseException:
             attempt.end()
             raise
@@ -144,13 +150,6 @@ async def begin_attempt(request: Request) -> None:
     attempt: GuardedRequest | None = getattr(request.state, "attempt", None)
     if attempt is not None:
         await attempt.begin(request.state.who, request)
-
-
-async def repeat_answer(request: Request, error: Exception) -> Response:
-    """Answer as before."""
-    assert isinstance(error, AnsweredBeforeError)  # noqa: S101 - the handler's registration says so
-    answer = error.answer
-    return Response(answer.body, answer.status, headers={**answer.headers, REPLAYED: "true"})
 
 
 async def _digest(request: Request) -> str:

@@ -27,7 +27,7 @@ from service.web.control import Control
 from service.web.docs import docs_page
 from service.web.foreign_pages import ForeignPages
 from service.web.gzipped import gzipping
-from service.web.idempotency import AnsweredBeforeError, keeping_answers, repeat_answer
+from service.web.idempotency import keeping_answers
 from service.web.key_ring import KeyRing
 from service.web.pace import paced
 from service.web.pieces import in_pieces
@@ -104,7 +104,6 @@ def build_routes() -> FastAPI:
         )
 
     install_handlers(app)
-    app.add_exception_handler(AnsweredBeforeError, repeat_answer)
     generate = app.openapi
 
     @cache
