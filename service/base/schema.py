@@ -1,5 +1,6 @@
 """Marks of fields beyond their types: dataclasses are settings, and schemas of the REST interface, as they are."""
 
+from dataclasses import is_dataclass
 from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
@@ -15,9 +16,18 @@ Time = Annotated[str, Field(json_schema_extra=TIME)]
 OptionalTime = Annotated[str | None, Field(json_schema_extra=TIME)]
 GivenTime = Annotated[str, AfterValidator(rfc3339), Field(json_schema_extra=TIME)]
 """A time that a client gives, RFC 3339 in any zone; the value is UTC."""
-ANSWER: ConfigDict = {**SCHEMA}  # type: ignore[typeddict-item]  # a plain dict, as pipeline knows no pydantic
+
+
+def _describe_inherited(schema: dict[str, Any], kind: type[Any]) -> None:
+    """Describe the fields that a dataclass has from its base: pydantic reads its own docstrings alone."""
+    if is_dataclass(base := kind.__base__):
+        for name, member in TypeAdapter(base).json_schema(mode="serialization")["properties"].items():
+            schema["properties"][name].setdefault("description", member.get("description"))
+
+
+ANSWER: ConfigDict = {**SCHEMA, "json_schema_extra": _describe_inherited}  # type: ignore[typeddict-item]  # a plain dict, as pipeline knows no pydantic
 """`__pydantic_config__` of a dataclass that is served: docstrings describe its fields, and all are always there."""
-REQUEST = ConfigDict(use_attribute_docstrings=True, extra="forbid")
+REQUEST = ConfigDict(use_attribute_docstrings=True, extra="forbid", json_schema_extra=_describe_inherited)
 """`__pydantic_config__` of a dataclass that is the body of a request."""
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
@@ -44,16 +54,6 @@ class RequestBody(BaseModel):
     """Body of a request, in which other fields than its own are errors."""
 
     model_config = ConfigDict(extra="forbid")
-
-
-def adds_to(base: type, config: ConfigDict = ANSWER) -> ConfigDict:
-    """Return the `__pydantic_config__` of a subclass: pydantic reads its own docstrings alone, not those of `base`."""
-
-    def describe(schema: dict[str, Any]) -> None:
-        for name, member in TypeAdapter(base).json_schema(mode="serialization")["properties"].items():
-            schema["properties"][name].setdefault("description", member.get("description"))
-
-    return {**config, "json_schema_extra": describe}
 
 
 def always_present(schema: dict[str, Any]) -> None:

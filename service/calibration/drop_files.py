@@ -20,7 +20,7 @@ from pipeline.calibration import BallDrop, BallView
 from pipeline.calibration.coverage import Coverage, coverage
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
-from service.base.schema import ANSWER, adds_to
+from service.base.schema import ANSWER
 from service.calibration.files import CalibrationFiles, CalibrationSummary, read_document
 
 HEADER = "header.json"
@@ -79,8 +79,6 @@ def _without_outlines(drop: ObservedDrop) -> BallDrop:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationDocument(CalibrationSummary):
     """One calibration with its drops and its report."""
-
-    __pydantic_config__ = adds_to(CalibrationSummary)
 
     drops: Sequence[ObservedDrop]
     """In the order in which they fell."""

@@ -29,7 +29,7 @@ from drivers.files.rig_file import read_rig, write_rig
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.base import aside
-from service.base.schema import ANSWER, Time, adds_to
+from service.base.schema import ANSWER, Time
 from service.calibration.states import CalibrationState
 from service.processing.measure_job import RigFile
 
@@ -80,8 +80,6 @@ class CalibrationRecord:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationSummary(CalibrationRecord):
     """One calibration. It is open until it is accepted, rejected or cancelled; an accepted one is a version."""
-
-    __pydantic_config__ = adds_to(CalibrationRecord)
 
     is_active: bool
     """True if stones are measured with it now."""

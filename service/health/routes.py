@@ -8,7 +8,7 @@ from fastapi import APIRouter, Path, Query
 from pydantic import BaseModel, Field
 
 from service.base.language import Language
-from service.base.schema import RequestBody, adds_to
+from service.base.schema import RequestBody
 from service.base.status import CheckStatus, Health, HealthCheck, Ne107
 from service.health.alarms.alarm import ANNOUNCED, Alarm, AlarmState
 from service.health.alarms.alarms import Alarms, history
@@ -105,8 +105,6 @@ MAX_SHELVED_MINUTES = MAX_SHELVED_S / 60
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmDocument(Alarm):
     """An alarm, from its first rise to its end, with what it means and what to do."""
-
-    __pydantic_config__ = adds_to(Alarm)
 
     cause: str
     """What the alarm means."""

@@ -11,7 +11,7 @@ from typing_extensions import TypeAliasType
 
 from drivers.files.times import utc_now
 from service.base.errors import TooManyError
-from service.base.schema import REQUEST, Name, Time, adds_to
+from service.base.schema import ANSWER, REQUEST, Name, Time
 from service.store import audit
 
 MAX_PRODUCTS = 1000
@@ -75,7 +75,7 @@ class ProductDefinition:
 class Product(ProductDefinition):
     """One version of a product."""
 
-    __pydantic_config__ = adds_to(ProductDefinition)
+    __pydantic_config__ = ANSWER
 
     product: str
     """Id of the product, ISA-95 material definition."""

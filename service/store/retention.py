@@ -13,7 +13,7 @@ from enum import StrEnum
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
 from service.base.errors import TooManyError
-from service.base.schema import ANSWER, Time, adds_to, require_ranges
+from service.base.schema import ANSWER, Time, require_ranges
 from service.store import audit
 from service.store.events import CursorError
 from service.store.schema import rows_by_name
@@ -71,8 +71,6 @@ class ParkedCursor:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConsumerDocument(ParkedCursor):
     """A named reader of the feed, and its place there."""
-
-    __pydantic_config__ = adds_to(ParkedCursor)
 
     unread: int
     """Results since"""

@@ -11,7 +11,7 @@ from fastapi import Request as HttpRequest
 from pydantic import BaseModel, Field
 
 from service.base.ids import ID
-from service.base.schema import REQUEST, GivenTime, RequestBody, adds_to
+from service.base.schema import GivenTime, RequestBody
 from service.lots.lots import (
     LotDefinition,
     LotDocument,
@@ -45,8 +45,6 @@ Change = Callable[[Callable[..., LotDocument | None], object], Awaitable[LotDocu
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LotRequest(LotDefinition):
     """A lot to open, in the words of ISA-95."""
-
-    __pydantic_config__ = adds_to(LotDefinition, REQUEST)
 
     product: Annotated[str, Field(pattern=ID)]
     """Material definition."""

@@ -5,7 +5,6 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from service.base.schema import adds_to
 from service.store.accounting import Accounting
 from service.store.accounting import accounting as counts_of
 from service.web.auth import READABLE
@@ -17,8 +16,6 @@ router = APIRouter(prefix="/accounting", tags=["accounting"], dependencies=READA
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AccountingDocument(Accounting):
     """`triggers = measured + rejected + lost + in_progress`."""
-
-    __pydantic_config__ = adds_to(Accounting)
 
     session: int | None
     """Session (run of the daemon) that is counted; null: all."""

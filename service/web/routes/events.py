@@ -7,7 +7,6 @@ from fastapi import APIRouter, Query
 from fastapi.responses import Response
 from pydantic import Field
 
-from service.base.schema import adds_to
 from service.store.events import NewEvent
 from service.web.auth import READABLE
 from service.web.context import Context
@@ -21,8 +20,6 @@ router = APIRouter(prefix="/events", tags=["events"], dependencies=READABLE)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EventDocument(NewEvent):
     """Something that happened."""
-
-    __pydantic_config__ = adds_to(NewEvent)
 
     seq: int
     """Strictly increasing, without gaps."""
