@@ -1,13 +1,15 @@
 """Marks of fields beyond their types: dataclasses are settings, and schemas of the REST interface, as they are."""
 
-from dataclasses import is_dataclass
-from typing import Annotated, Any, TypeVar
+from dataclasses import dataclass, is_dataclass
+from typing import Annotated, Any, TypeVar, dataclass_transform
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
 from pydantic.config import JsonDict
 
 from pipeline.frames import rfc3339
 from pipeline.schema import SCHEMA
+
+T = TypeVar("T")
 
 TIME: JsonDict = {"format": "date-time"}
 """Addition to the schema of a text that is a time, RFC 3339."""
@@ -25,10 +27,23 @@ def _describe_inherited(schema: dict[str, Any], kind: type[Any]) -> None:
             schema["properties"][name].setdefault("description", member.get("description"))
 
 
-ANSWER: ConfigDict = {**SCHEMA, "json_schema_extra": _describe_inherited}  # type: ignore[typeddict-item]  # a plain dict, as pipeline knows no pydantic
-"""`__pydantic_config__` of a dataclass that is served: docstrings describe its fields, and all are always there."""
-REQUEST = ConfigDict(use_attribute_docstrings=True, extra="forbid", json_schema_extra=_describe_inherited)
-"""`__pydantic_config__` of a dataclass that is the body of a request."""
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+def served(kind: type[T]) -> type[T]:
+    """Make a frozen dataclass that REST serves: docstrings describe its fields, and all are always there."""
+    return _described(kind, **SCHEMA)
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+def request_body(kind: type[T]) -> type[T]:
+    """Make a frozen dataclass that is the body of a request: docstrings describe its fields, and others are errors."""
+    return _described(kind, use_attribute_docstrings=True, extra="forbid")
+
+
+def _described(kind: type[T], **config: object) -> type[T]:
+    config |= {"json_schema_extra": _describe_inherited}
+    kind.__pydantic_config__ = config  # type: ignore[attr-defined]  # where pydantic looks for it
+    return dataclass(frozen=True, slots=True, kw_only=True)(kind)
+
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 """A name or title that people give."""
@@ -36,7 +51,6 @@ Remark = Annotated[str, Field(max_length=2000)]
 
 
 LIVE = "applies without a restart"
-T = TypeVar("T")
 Live = Annotated[T, LIVE]
 """A setting that applies when the file is read again; others are built into devices, workers, store or sockets."""
 

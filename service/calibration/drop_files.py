@@ -20,7 +20,7 @@ from pipeline.calibration import BallDrop, BallView
 from pipeline.calibration.coverage import Coverage, coverage
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
-from service.base.schema import ANSWER
+from service.base.schema import served
 from service.calibration.files import CalibrationFiles, CalibrationSummary, read_document
 
 HEADER = "header.json"
@@ -39,11 +39,9 @@ class SeenCircle:
     radius_px: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class ObservedDrop:
     """One ball or stone that was observed."""
-
-    __pydantic_config__ = ANSWER
 
     bundle: str
     """Name of the bundle of images."""
@@ -76,7 +74,7 @@ def _without_outlines(drop: ObservedDrop) -> BallDrop:
     return BallDrop(name=drop.bundle, diameter_mm=drop.diameter_mm, views=views)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class CalibrationDocument(CalibrationSummary):
     """One calibration with its drops and its report."""
 

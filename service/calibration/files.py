@@ -29,7 +29,7 @@ from drivers.files.rig_file import read_rig, write_rig
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.base import aside
-from service.base.schema import ANSWER, Time
+from service.base.schema import Time, served
 from service.calibration.states import CalibrationState
 from service.processing.measure_job import RigFile
 
@@ -43,11 +43,9 @@ DROPS, ACTIVATIONS = "drops", "activations.json"
 Document = TypeVar("Document")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class CalibrationRecord:
     """One calibration. It is open until it is accepted, rejected or cancelled; an accepted one is a version."""
-
-    __pydantic_config__ = ANSWER
 
     id: str
     """Name of the calibration in the addresses."""
@@ -77,7 +75,7 @@ class CalibrationRecord:
     """Why it was cancelled, could not be solved, or must not be accepted; null otherwise."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class CalibrationSummary(CalibrationRecord):
     """One calibration. It is open until it is accepted, rejected or cancelled; an accepted one is a version."""
 
@@ -85,11 +83,9 @@ class CalibrationSummary(CalibrationRecord):
     """True if stones are measured with it now."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class Activation:
     """One activation of a calibration."""
-
-    __pydantic_config__ = ANSWER
 
     id: str
     """`id` of the calibration."""

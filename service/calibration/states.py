@@ -1,7 +1,6 @@
 """The request for a calibration, its states, and which action leads from one to the next."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from enum import StrEnum
 from http import HTTPStatus
 from typing import Annotated
@@ -9,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from service.base.errors import ProblemError, ProblemKind
-from service.base.schema import REQUEST, Name, Remark
+from service.base.schema import Name, Remark, request_body
 
 BALL_DIAMETERS_MM = (1.0, 45.0)
 """Range of diameters that the cameras resolve and that fit into their images."""
@@ -30,11 +29,9 @@ class Method(StrEnum):
     """New poses for cameras that moved, from any stones, without a ball."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@request_body
 class CalibrationRequest:
     """Request for a calibration. Everything that falls from now on is observed."""
-
-    __pydantic_config__ = REQUEST
 
     ball_diameters_mm: Annotated[tuple[DiameterMm, ...], Field(max_length=2)] = ()
     """Diameter of the ball, mm. Two diameters that differ by a fifth or more also reveal outlines that are

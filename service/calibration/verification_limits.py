@@ -4,20 +4,17 @@ They judge the whole measuring chain with the calibration in use: mean error and
 vertical against the horizontal diameter, which differ when a ball moves too far during the exposure.
 """
 
-from dataclasses import dataclass
 from statistics import fmean, stdev
 
-from service.base.schema import ANSWER, require_ranges
+from service.base.schema import require_ranges, served
 
 MAX_SIZE_RATIO = 1.1
 """Of measured and stated diameter; what differs more is something else, however badly the rig is calibrated."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class VerifiedBall:
     """One ball of a verification."""
-
-    __pydantic_config__ = ANSWER
 
     bundle: str
     """Name of the bundle of images."""
@@ -29,11 +26,9 @@ class VerifiedBall:
     """Why it does not count; null when it does."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class Summary:
     """Averages over the balls measured so far; the limits are those of `[verification]` in the configuration."""
-
-    __pydantic_config__ = ANSWER
 
     error_mm: float
     """Mean of the equivalent diameters minus the true one, mm; default limit 0.10 either way."""
@@ -43,11 +38,9 @@ class Summary:
     """Mean of vertical minus horizontal diameter, mm; default limit 0.05 either way."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class VerificationParameters:
     """Interval and limits of verifications; 0.1 mm of 15 mm are 2 % of a stone's volume."""
-
-    __pydantic_config__ = ANSWER
 
     every_h: float = 0.0
     """A verification is overdue so long after the latest, hours; 0: never."""

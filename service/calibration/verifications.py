@@ -7,7 +7,7 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from datetime import datetime, timedelta
 from enum import StrEnum
 from functools import partial
@@ -18,7 +18,7 @@ from pydantic import Field, computed_field
 
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
-from service.base.schema import ANSWER, REQUEST, Name, Remark, Time
+from service.base.schema import Name, Remark, Time, request_body, served
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.drops import DropCollector
 from service.calibration.files import read_numbered, write_document
@@ -53,11 +53,9 @@ COLLECTING = VerificationState.COLLECTING
 VERDICTS = (VerificationState.PASSED, VerificationState.FAILED)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class Verification:
     """A verification: its balls, and its verdict once they are complete."""
-
-    __pydantic_config__ = ANSWER
 
     id: str
     """Name of the verification in the addresses."""
@@ -94,11 +92,9 @@ class Verification:
         return summarize(self.measured, self.diameter_mm) if self.measured else None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@request_body
 class VerificationRequest:
     """Request for a verification with the next balls."""
-
-    __pydantic_config__ = REQUEST
 
     diameter_mm: DiameterMm = 15.0
     """Diameter of the ball, mm."""

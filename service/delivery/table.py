@@ -3,11 +3,11 @@
 import json
 import sqlite3
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 
 from pydantic import TypeAdapter
 
-from service.base.schema import ANSWER, Time
+from service.base.schema import Time, served
 from service.delivery.progress import EndpointProgress, enabled, replayed
 from service.store import audit
 from service.store.events import CursorError, EventType, event_ends
@@ -17,11 +17,9 @@ MAX_DELIVERIES = 500
 """Newest deliveries of each endpoint that are kept."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class Attempt:
     """One attempt to post to an endpoint."""
-
-    __pydantic_config__ = ANSWER
 
     at: Time
     """When it was begun, RFC 3339 UTC."""

@@ -13,7 +13,7 @@ from http import HTTPStatus
 from pipeline.frames import rfc3339
 from service.base.errors import ProblemError, ProblemKind, StoreError
 from service.base.redaction import shown
-from service.base.schema import ANSWER, OptionalTime
+from service.base.schema import OptionalTime, served
 from service.base.status import Checks, trouble_check
 from service.delivery import table
 from service.delivery.posting import Message, message_of, post, signatures, trial_message
@@ -38,11 +38,9 @@ class BeingTestedError(ProblemError):
     retry_after_s = 2
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class WebhookDocument:
     """An endpoint that events are posted to, and its progress; without its secrets."""
-
-    __pydantic_config__ = ANSWER
 
     name: str
     """As it is configured"""

@@ -1,6 +1,6 @@
 """Routes of health: liveness, readiness for stones, every check; alarms, acknowledged and shelved by people."""
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from importlib.metadata import version
 from typing import Annotated, Any, Literal
 
@@ -8,7 +8,7 @@ from fastapi import APIRouter, Path, Query
 from pydantic import BaseModel, Field
 
 from service.base.language import Language
-from service.base.schema import RequestBody
+from service.base.schema import RequestBody, served
 from service.base.status import CheckStatus, Health, HealthCheck, Ne107
 from service.health.alarms.alarm import ANNOUNCED, Alarm, AlarmState
 from service.health.alarms.alarms import Alarms, history
@@ -102,7 +102,7 @@ Words = Annotated[Language, Query(description="Of `cause` and `action`")]
 MAX_SHELVED_MINUTES = MAX_SHELVED_S / 60
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class AlarmDocument(Alarm):
     """An alarm, from its first rise to its end, with what it means and what to do."""
 

@@ -19,7 +19,7 @@ from pipeline.gradation.influences import Influences, share_influences, size_inf
 from pipeline.gradation.repeatability import Repeatability, repeatability
 from pipeline.gradation.sieves import MeasuredRange
 from service.base.errors import ProblemError, ProblemKind
-from service.base.schema import ANSWER
+from service.base.schema import served
 from service.base.status import Report
 from service.lots.evaluation import figures_of
 from service.lots.figures import SHARES, LotFigures, named_figures
@@ -172,11 +172,9 @@ class Conditions(StrEnum):
     EQUIPMENT = "equipment"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class Run:
     """A lot that is a run of the sample."""
-
-    __pydantic_config__ = ANSWER
 
     lot: str
     """Id of the lot."""
@@ -184,11 +182,9 @@ class Run:
     """Runs of equal conditions have the same."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class SampleStudy:
     """Repeatability and reproducibility from repeated runs of one sample (ISO 5725-2)."""
-
-    __pydantic_config__ = ANSWER
 
     sample_id: str
     """Id of the laboratory sample."""

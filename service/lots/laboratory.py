@@ -14,7 +14,7 @@ from pydantic import TypeAdapter
 from drivers.files.times import utc_now
 from pipeline.gradation.correlation import MappingForm, SievedLot, SizeMapping, Study, study
 from service.base.errors import InvalidRequestError, ProblemError, ProblemKind, TooManyError
-from service.base.schema import ANSWER, Time
+from service.base.schema import Time, served
 from service.lots.lots import LotState, lots
 from service.lots.stones import stones_of_lot
 from service.store import audit
@@ -84,11 +84,9 @@ class StoredSieving:
     document: Sieving
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class CorrelationDocument:
     """One version of a study: how the instrument's sizes become those of the laboratory's sieves."""
-
-    __pydantic_config__ = ANSWER
 
     product: str
     """Id of the product"""

@@ -2,7 +2,7 @@
 
 import json
 import sqlite3
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from enum import StrEnum
 from http import HTTPStatus
 from typing import Annotated, Any
@@ -12,7 +12,7 @@ from pydantic import Field
 from drivers.files.times import utc_now
 from service.base.errors import ProblemError, ProblemKind
 from service.base.ids import NEW_ID
-from service.base.schema import REQUEST, Name, OptionalTime, Remark, Time
+from service.base.schema import Name, OptionalTime, Remark, Time, request_body
 from service.base.status import Report
 from service.lots.products import find_product
 from service.store import audit
@@ -32,11 +32,9 @@ class LotState(StrEnum):
     VOID = "void"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@request_body
 class LotDefinition:
     """What the plant says of a lot; all but the first is optional."""
-
-    __pydantic_config__ = REQUEST
 
     lot: Annotated[str, Field(pattern=NEW_ID)]
     """Material lot."""

@@ -3,7 +3,7 @@
 import json
 import sqlite3
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, field, fields
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -11,7 +11,7 @@ from typing_extensions import TypeAliasType
 
 from drivers.files.times import utc_now
 from service.base.errors import TooManyError
-from service.base.schema import ANSWER, REQUEST, Name, Time
+from service.base.schema import Name, Time, request_body, served
 from service.store import audit
 
 MAX_PRODUCTS = 1000
@@ -31,11 +31,9 @@ EN_BASIC = "en-basic-2"
 """Not in the schema, as generators write a default of this type as a name, not a text."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@request_body
 class OwnSpecification:
     """Limits of the site's own."""
-
-    __pydantic_config__ = REQUEST
 
     name: Name
     """Name of the specification, printed on reports."""
@@ -47,11 +45,9 @@ class OwnSpecification:
     """Shape index, EN 933-4."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@request_body
 class ProductDefinition:
     """What a product is; what is absent is not known."""
-
-    __pydantic_config__ = REQUEST
 
     title: Name
     """Name of the product for people, such as `8/16 basalt`."""
@@ -71,11 +67,9 @@ class ProductDefinition:
     """Such as `SI20`."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class Product(ProductDefinition):
     """One version of a product."""
-
-    __pydantic_config__ = ANSWER
 
     product: str
     """Id of the product, ISA-95 material definition."""

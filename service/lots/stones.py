@@ -18,7 +18,7 @@ from pipeline.arrays import Values
 from pipeline.frames import BundleKind
 from pipeline.gradation.stones import MEASURES, OPTIONAL, REQUIRED, Fate, Lot, Stone, UnmeasuredStone, lot_of
 from service.base.errors import InvalidRequestError
-from service.base.schema import ANSWER, Time
+from service.base.schema import Time, served
 from service.results.fields import INDEXED_FIELDS, why_not_refined
 from service.store.schema import rows_by_name
 from service.store.writes import IS_REPLAY
@@ -77,11 +77,9 @@ class Stretch:
     lot: Lot  # in the order of time; of many stones every so many
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class StoneBehindStep:
     """A stone between two neighbouring sieves of the curve."""
-
-    __pydantic_config__ = ANSWER
 
     seq: int
     """`seq` of the result."""

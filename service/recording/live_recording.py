@@ -10,7 +10,7 @@ import queue
 import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from enum import StrEnum
 from typing import Any
 
@@ -19,7 +19,7 @@ from drivers.files.durable import read_json, write_json
 from drivers.files.recording import RecordingWriter
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind, FrameBundle
-from service.base.schema import ANSWER, Time
+from service.base.schema import Time, served
 
 MAX_WAITING = 16
 """Most bundles that wait for the disk: four seconds at four stones a second, 340 MB with 16 cameras."""
@@ -50,11 +50,9 @@ class RecordingState(StrEnum):
     """It was ended without a folder being left."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class RecordingStatus:
     """State of a recording. A `complete` one can be replayed and measured, a `failed` one left no usable files."""
-
-    __pydantic_config__ = ANSWER
 
     name: str
     """Name of its folder, and in the addresses."""

@@ -26,7 +26,7 @@ from drivers.files.recording import UNKNOWN_UTC, RecordingSource, RecordingWrite
 from pipeline.frames import BundleKind, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.base.errors import ProblemError, ProblemKind
-from service.base.schema import REQUEST, require_ranges
+from service.base.schema import request_body, require_ranges
 from service.base.status import Checks, trouble_check
 from service.recording.live_recording import EndedBy, LiveRecording, RecordingState, RecordingStatus
 
@@ -57,11 +57,9 @@ class RecordingsSettings:
         return round(self.reserve_gb * 1e9)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@request_body
 class RecordingRequest:
     """Request for a recording. It ends when `count` or `duration_s` is reached, whichever comes first."""
-
-    __pydantic_config__ = REQUEST
 
     name: Annotated[str, Field(pattern=NAME)]
     """Name of its folder; must be new."""

@@ -7,18 +7,16 @@ from dataclasses import dataclass, field
 
 from pydantic import computed_field
 
-from service.base.schema import ANSWER
+from service.base.schema import served
 from service.results.fields import Outcome
 
 Counts = Counter[tuple[str, str, str]]
 """Number of results of each outcome, reason and quality (empty where there is none)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class Accounting:
     """Counts of the light gate's triggers by outcome; background exposures are counted separately."""
-
-    __pydantic_config__ = ANSWER
 
     triggers: int
     """Stones and balls that the light gate reported."""

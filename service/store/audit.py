@@ -18,7 +18,7 @@ from typing import Any
 from drivers.files.times import utc_now
 from service.base.csv_text import csv_text
 from service.base.redaction import redacted
-from service.base.schema import ANSWER, Time
+from service.base.schema import Time, served
 
 CONFIGURATION = "configuration"
 """Action of the entries about the file of settings, whose URLs earlier versions kept to the end."""
@@ -32,11 +32,9 @@ N_NEWEST = 1000
 """Newest digests that are compared at each start."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class AuditEntry:
     """One change; never edited."""
-
-    __pydantic_config__ = ANSWER
 
     entry: int
     """Number of the entry, in the order of the changes."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from drivers.files.times import utc_now
 from service.base.errors import ProblemError, ProblemKind
-from service.base.schema import ANSWER, Time
+from service.base.schema import Time, served
 from service.store.schema import rows_by_name
 
 NEW_HISTORY_STEP = 1_000_000
@@ -42,11 +42,9 @@ class EventType(StrEnum):
     """The plant has noted what it did to the crusher."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class NewEvent:
     """An event that has no number yet."""
-
-    __pydantic_config__ = ANSWER
 
     type: EventType
     """What happened; later versions have more types."""

@@ -13,7 +13,7 @@ from enum import StrEnum
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
 from service.base.errors import TooManyError
-from service.base.schema import ANSWER, Time, require_ranges
+from service.base.schema import Time, require_ranges, served
 from service.store import audit
 from service.store.events import CursorError
 from service.store.schema import rows_by_name
@@ -54,11 +54,9 @@ class RetentionLimits:
         return self.files_days or self.results_days
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class ParkedCursor:
     """The place of a consumer, and since when."""
-
-    __pydantic_config__ = ANSWER
 
     name: str
     """Name that the consumer chose"""
@@ -68,7 +66,7 @@ class ParkedCursor:
     """When the cursor was parked, RFC 3339 UTC"""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class ConsumerDocument(ParkedCursor):
     """A named reader of the feed, and its place there."""
 

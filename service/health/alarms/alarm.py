@@ -1,9 +1,8 @@
 """One alarm, from its first rise to its end."""
 
-from dataclasses import dataclass
 from enum import StrEnum
 
-from service.base.schema import ANSWER, OptionalTime, Time
+from service.base.schema import OptionalTime, Time, served
 from service.health.alarms.rules import Priority
 
 
@@ -27,11 +26,9 @@ ANNOUNCED = (*ACTIVE, AlarmState.RETURNED)
 """States in which people see it in the list."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class Alarm:
     """An alarm, from its first rise to its end."""
-
-    __pydantic_config__ = ANSWER
 
     id: int
     """Number of the alarm, in the order in which they were raised."""

@@ -3,7 +3,6 @@
 import re
 import sqlite3
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Response
@@ -11,7 +10,7 @@ from fastapi import Request as HttpRequest
 from pydantic import BaseModel, Field
 
 from service.base.ids import ID
-from service.base.schema import GivenTime, RequestBody
+from service.base.schema import GivenTime, RequestBody, request_body
 from service.lots.lots import (
     LotDefinition,
     LotDocument,
@@ -42,7 +41,7 @@ Change = Callable[[Callable[..., LotDocument | None], object], Awaitable[LotDocu
 """Makes a change of a lot, such as `close_lot`, with what is given for it; returns the lot after it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@request_body
 class LotRequest(LotDefinition):
     """A lot to open, in the words of ISA-95."""
 

@@ -1,7 +1,7 @@
 """The crusher's diary: what the plant has set or changed, and when; never edited."""
 
 import sqlite3
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from typing import Annotated
@@ -11,7 +11,7 @@ from pydantic import Field
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
 from service.base.errors import InvalidRequestError
-from service.base.schema import ANSWER, REQUEST, TIME, GivenTime, Time
+from service.base.schema import TIME, GivenTime, Time, request_body, served
 from service.store import audit
 from service.store.events import EventType, NewEvent, note_event
 from service.store.schema import rows_by_name
@@ -36,11 +36,9 @@ class FutureEntryError(InvalidRequestError):
     """The entry is of a time that has not come."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@request_body
 class DiaryRequest:
     """Something that was done to the crusher."""
-
-    __pydantic_config__ = REQUEST
 
     kind: DiaryKind
     """To the `gap` (closed side setting), the `liner`, the `feed`, or anything `other`."""
@@ -52,11 +50,9 @@ class DiaryRequest:
     """When it was done, RFC 3339; now when absent, never in the future."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class DiaryEntry:
     """An entry of the crusher's diary."""
-
-    __pydantic_config__ = ANSWER
 
     entry: int
     """Number of the entry, in the order in which they were noted."""

@@ -1,10 +1,11 @@
 """Counts of triggers and of their outcomes."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Annotated
 
 from fastapi import APIRouter, Query
 
+from service.base.schema import served
 from service.store.accounting import Accounting
 from service.store.accounting import accounting as counts_of
 from service.web.auth import READABLE
@@ -13,7 +14,7 @@ from service.web.context import Context
 router = APIRouter(prefix="/accounting", tags=["accounting"], dependencies=READABLE)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class AccountingDocument(Accounting):
     """`triggers = measured + rejected + lost + in_progress`."""
 

@@ -1,12 +1,12 @@
 """What happened beside results: lots, alarms, calibrations, the state of the rig."""
 
-from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import APIRouter, Query
 from fastapi.responses import Response
 from pydantic import Field
 
+from service.base.schema import served
 from service.store.events import NewEvent
 from service.web.auth import READABLE
 from service.web.context import Context
@@ -17,7 +17,7 @@ from service.web.problems import problem_responses
 router = APIRouter(prefix="/events", tags=["events"], dependencies=READABLE)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class EventDocument(NewEvent):
     """Something that happened."""
 

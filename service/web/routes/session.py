@@ -1,7 +1,6 @@
 """Sign in with a browser: the token of a key is exchanged for the cookie of a session."""
 
 import time
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Annotated
 
@@ -9,7 +8,7 @@ from fastapi import APIRouter, Depends, Request, Response
 from pydantic import Field
 
 from pipeline.frames import rfc3339
-from service.base.schema import ANSWER, REQUEST, OptionalTime
+from service.base.schema import OptionalTime, request_body, served
 from service.store.keys import AccessKey
 from service.web.auth import Asker, asker_of, checked_key
 from service.web.context import Context
@@ -35,21 +34,17 @@ async def asker(request: Request, context: Context) -> Asker:
 Asking = Annotated[Asker, Depends(asker)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@request_body
 class SignIn:
     """The key to sign in with."""
-
-    __pydantic_config__ = REQUEST
 
     token: Annotated[str, Field(min_length=1, max_length=512, repr=False)]
     """What `stonefall keys create` printed"""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@served
 class SessionDocument:
     """Who asks, and what that allows."""
-
-    __pydantic_config__ = ANSWER
 
     who: str | None
     """As in the audit: `key NAME`, or `this machine` where no key is needed; null: unknown"""
