@@ -4,7 +4,7 @@ from functools import cache
 
 from benchmarks.structure import ROOT, Nodes, dark_lines, long_calls, mirrored_pairs, nodes_of, shared_names
 
-MOST_MIRRORED = 11
+MOST_MIRRORED = 5
 """Pairs of classes that share words, such as a lens and what was found of it, and are no copies of each other."""
 
 
