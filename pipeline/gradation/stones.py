@@ -164,7 +164,7 @@ class Unmeasured:
     by_reason: Mapping[str, int]
     """By outcome and reason, such as `rejected: clipped`"""
     expected_percent: float | None
-    """Of the measured mass, if each was as heavy as the mean"""
+    """Share of the measured mass, if each was as heavy as the mean"""
     at_most_percent: float | None
     """The same if each was as heavy as the heaviest, or as a sphere that fills the view"""
 

@@ -312,13 +312,13 @@ class CameraStatus(Report):
     last_frame_age_s: float | None = None
     """Seconds since the last frame; null before it"""
     skew_us: float | None = None
-    """By how much its exposures are off those of the others in time; 20 us are a pixel of fall"""
+    """Time of its exposures from those of the others; 20 us are a pixel of fall"""
     tangency_px: float | None = None
     """Epipolar residual of its outlines, median of the latest 20 stones; from 0.3 it has moved"""
     tangency_drift_px: float | None = None
     """Its rise since the first 20 stones after the start or the activation of this calibration"""
     residual_px: float | None = None
-    """By how much its outlines leave the hull of the other views, median of the latest 20 stones"""
+    """Distance by which its outlines leave the hull of the other views, median of the latest 20 stones"""
     residual_drift_px: float | None = None
     """Its rise since the first 20 stones after the start or the activation of this calibration"""
     optics: CameraOptics | None = None

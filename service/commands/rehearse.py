@@ -47,7 +47,7 @@ class RehearseOptions:
     linger_s: Annotated[float, typer.Option(min=0)] = 15.0
     """Time for clients to read the last results, before the daemon ends."""
     language: Language = Language.ENGLISH
-    """Of the alarms' causes and actions."""
+    """Language of the alarms' causes and actions."""
     as_json: Json = False
     """Print what a client should have seen as JSON; the rest goes to stderr."""
 

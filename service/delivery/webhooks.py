@@ -59,7 +59,7 @@ class WebhookDocument:
     next_attempt_at: OptionalTime
     """When it is tried again; null: at once, or it is disabled"""
     last_problem: str | None
-    """Of the latest attempt; null if it did not fail"""
+    """Why the latest attempt failed; null if it did not"""
     last_taken_at: OptionalTime
     """When it took a message last; null before the first"""
     disabled_at: OptionalTime

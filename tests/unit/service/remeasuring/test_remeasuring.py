@@ -168,7 +168,7 @@ async def test_closing_ends_what_is_measured(
     await begun.wait()
     again.close()
     await asking
-    pool.run = run  # type: ignore[method-assign]
+    pool.run = run  # type: ignore[method-assign]  # of this pool alone
     await assert_hindered(again, store, name, Hindrance.FAILED)  # and nothing begins any more
     assert pool.jobs == []
 
@@ -189,7 +189,7 @@ async def test_a_request_that_is_given_up_leaves_nothing_to_the_next(
     asking.cancel()
     await asyncio.wait([asking])
     assert pool.n_rests == 1
-    pool.run = run  # type: ignore[method-assign]
+    pool.run = run  # type: ignore[method-assign]  # of this pool alone
     assert await again.measure(name, "anna")
 
 
