@@ -3,7 +3,7 @@
 Both depend only on the widths w(e) of the body along the axes of an orthonormal frame:
 
 - the box along the frame that just holds the body has the edges w(e1), w(e2), w(e3);
-- the body passes along e3 through a square with sides along e1 and e2 and edge max(w(e1), w(e2)).
+- the body passes along its widest axis through a square with an edge of the middle one of w(e1), w(e2), w(e3).
 
 Both have many local minima, so this is a beam search: the best frames among 10 000 coarse ones (`near_frames`) are
 rotated by smaller and smaller angles; frames that come close to a better one, or fall behind, are dropped.
@@ -19,8 +19,8 @@ from pipeline.compiled import compiled, compiled_within, whole
 from pipeline.measuring.convex import ConvexBody, Edges, touch, unit
 from pipeline.measuring.directions import COVERING_RAD, half_sphere, near_frames
 
-FIRST, TWO_AXES, ALL_AXES = whole(0), whole(2), whole(3)
-"""Typed constants for the compiled loops: index of the first frame, numbers of axes."""
+FIRST = whole(0)
+"""Typed constant for the compiled loops: index of the first frame."""
 N_COARSE = whole(40)
 """Number of coarse frames, each of another neighbourhood, from which the starts are chosen."""
 N_STARTS = 20
@@ -82,19 +82,18 @@ def smallest_square(body: ConvexBody) -> tuple[float, Floats]:
     one_mm, two_mm, three_mm = body.width_mm[near_frames()]
     median_mm = np.maximum(np.minimum(one_mm, two_mm), np.minimum(np.maximum(one_mm, two_mm), three_mm))
     widths_mm, axes = _least_widths(body, median_mm, False)
-    return float(widths_mm[:2].max()), axes
+    order = widths_mm.argsort()
+    return float(widths_mm[order[1]]), axes[order]
 
 
 def _least_widths(body: ConvexBody, scores: Floats, is_box: bool) -> tuple[Vector, Floats]:
-    """Return the widths along the best frame's axes, the third for boxes only, and these axes, in rows.
+    """Return the widths along the best frame's axes, and these axes, in rows.
 
     `scores` are those of `near_frames`.
     """
     neighborhoods = np.argpartition(scores.min(axis=0), N_COARSE)[:N_COARSE]
     best = scores[:, neighborhoods].argmin(axis=0)
     coarse = near_frames()[:, best, neighborhoods].T
-    if not is_box:  # the body passes along its widest direction
-        coarse = np.take_along_axis(coarse, body.width_mm[coarse].argsort(axis=1), axis=1)
     frames, kept = _empty_frames(N_CHILDREN * N_STARTS), _empty_frames(N_STARTS)
     frames.axes[:N_COARSE] = half_sphere().directions[coarse]
     frames.touching[: 3 * N_COARSE] = body.touching[coarse.reshape(-1)]
@@ -133,7 +132,6 @@ def _search(
 
     `frames` starts with the `N_COARSE` coarse ones.
     """
-    n_axes = ALL_AXES if is_box else TWO_AXES
     n_frames, n_most, spacing_rad, limit = N_COARSE, N_STARTS, START_SPACING_RAD, np.inf
     radius, best = COVERING_RAD, np.inf
     while True:
@@ -142,20 +140,19 @@ def _search(
             nearest = _lowest(frames.score, n_frames)
             if not frames.score[nearest] < limit:
                 break
-            _keep(edges, frames, nearest, kept, n_kept, n_axes, widths_mm)
+            _keep(edges, frames, nearest, kept, n_kept, widths_mm)
             score = _score(widths_mm[0], widths_mm[1], widths_mm[2], is_box)
             kept.score[n_kept] = score
             if score < best:
                 best = score
-                for axis in range(n_axes):
-                    best_mm[axis] = widths_mm[axis]
+                best_mm[:] = widths_mm
                 best_axes[:] = kept.axes[n_kept]
             _drop_similar(frames, n_frames, nearest, cos_spacing)
             n_kept += 1
         if radius < FINAL_RADIUS_RAD:
             return
         for parent in range(n_kept):
-            for axis in range(n_axes):
+            for axis in range(3):
                 _turn(edges, kept, parent, axis, radius, turns)
             _add_children(kept, parent, turns.width_mm, radius, is_box, frames)
         n_frames = N_CHILDREN * n_kept
@@ -178,13 +175,11 @@ def _lowest(score: Values, n: int) -> int:
 def _score(a_mm: float, b_mm: float, c_mm: float, is_box: bool) -> float:
     if is_box:
         return a_mm * b_mm * c_mm
-    return a_mm if a_mm > b_mm else b_mm
+    return max(min(a_mm, b_mm), min(max(a_mm, b_mm), c_mm))
 
 
 @compiled_within
-def _keep(
-    edges: Edges, frames: _Frames, i: int, kept: _Frames, to_i: int, n_axes: int, widths_mm: Vector
-) -> None:
+def _keep(edges: Edges, frames: _Frames, i: int, kept: _Frames, to_i: int, widths_mm: Vector) -> None:
     """Copy frame `i` to `kept`, made orthonormal about its first axis, and set its tangent vertices and widths."""
     axes = frames.axes
     x, y, z = unit(axes[i, 0, 0], axes[i, 0, 1], axes[i, 0, 2])
@@ -195,7 +190,7 @@ def _keep(
     axes[to_i, 0, 0], axes[to_i, 0, 1], axes[to_i, 0, 2] = x, y, z
     axes[to_i, 1, 0], axes[to_i, 1, 1], axes[to_i, 1, 2] = u, v, w
     axes[to_i, 2, 0], axes[to_i, 2, 1], axes[to_i, 2, 2] = y * w - z * v, z * u - x * w, x * v - y * u
-    for axis in range(n_axes):
+    for axis in range(3):
         row = 3 * to_i + axis
         for end in range(2):
             kept.touching[row, end] = frames.touching[3 * i + axis, end]

@@ -43,3 +43,16 @@ def test_frames_of_a_neighbourhood_are_near_and_nearly_orthogonal() -> None:
     products = np.abs(np.einsum("ahci,bhci->habc", axes, axes))
     assert products[:, ~np.eye(3, dtype=bool)].max() < 0.08
     assert (np.sort(near_frames(), axis=0)[0] != np.sort(near_frames(), axis=0)[2]).all()
+
+
+@examples(0.5)
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 3.0))
+def test_a_cube_with_a_bump_passes_along_it(seed: int, bump_mm: float) -> None:
+    """Only the right frame tells which axis is the widest: a coarse one may stand the cube on another face."""
+    rng = np.random.default_rng(seed)
+    corners_mm = 7.5 * np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+    top_mm = np.array([*rng.uniform(-7, 7, size=2), 7.5 + bump_mm])
+    body = convex_body(Rotation.random(rng=rng).apply(np.vstack([corners_mm, top_mm])))
+    edge_mm, axes = boxes.smallest_square(body)
+    assert edge_mm < 15.015
+    np.testing.assert_allclose(np.ptp(axes[:2] @ body.vertices_mm.T, axis=1).max(), edge_mm)
