@@ -26,6 +26,7 @@ from pipeline.segmentation.light import (
     flash_gain,
     gain_from_ratios,
 )
+from pipeline.segmentation.noise import TYPICAL_NOISE, SensorNoise, sensor_noise
 
 MIN_WEIGHT = 0.1
 """Least weight of a new empty frame: the model forgets dust and drift of the light within some tens of them."""
@@ -58,6 +59,7 @@ class CameraBackground:
     clean: FloatImage | None = (
         None  # (H/16, W/16) flat field of the clean rig; `None` until the model has settled
     )
+    noise: SensorNoise = TYPICAL_NOISE
 
     @cached_property
     def coarse(self) -> FloatImage:
@@ -137,7 +139,7 @@ def learn_background(model: BackgroundModel, frames: Mapping[CameraId, Frame]) -
 
 
 def _new_model(image: FloatImage, clean: FloatImage | None = None) -> CameraBackground:
-    return CameraBackground(mean=image, n_frames=1, clean=clean)
+    return CameraBackground(mean=image, n_frames=1, clean=clean, noise=sensor_noise(image))
 
 
 def _updated(known: CameraBackground, image: FloatImage) -> CameraBackground:
@@ -169,7 +171,15 @@ def _updated(known: CameraBackground, image: FloatImage) -> CameraBackground:
     clean = known.clean
     if clean is None and n_frames >= SETTLED_FRAMES:
         clean = coarsen(coarsen(mean))
-    return CameraBackground(mean=mean, n_frames=n_frames, n_refused=n_refused, refused=refused, clean=clean)
+    noise = SensorNoise(
+        *(
+            weight * new + (1 - weight) * old
+            for new, old in zip(sensor_noise(image), known.noise, strict=True)
+        )
+    )
+    return CameraBackground(
+        mean=mean, n_frames=n_frames, n_refused=n_refused, refused=refused, clean=clean, noise=noise
+    )
 
 
 def _was_cleaned(image: FloatImage, clean: FloatImage | None) -> bool:

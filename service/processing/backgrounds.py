@@ -36,11 +36,12 @@ from drivers.files.durable import replacing
 from pipeline.frames import CameraId
 from pipeline.segmentation import BackgroundModel
 from pipeline.segmentation.background import CameraBackground
+from pipeline.segmentation.noise import TYPICAL_NOISE, SensorNoise
 from service.processing.left_bundles import BACKGROUND
 
 log = logging.getLogger(__name__)
 
-COUNTS, REFUSED, CLEAN = ".counts", ".refused", ".clean"
+COUNTS, REFUSED, CLEAN, NOISE = ".counts", ".refused", ".clean", ".noise"
 """Endings of the names of arrays beside a camera's mean; a camera id has no dot."""
 DERIVED = ("levels", "coarse")
 """Properties of a background that are derived from its mean; folders of earlier releases lack them."""
@@ -66,6 +67,7 @@ def read_background(folder: Path) -> BackgroundModel:
             n_refused=n_refused,
             refused=arrays.get(name + REFUSED),
             clean=arrays.get(name + CLEAN),
+            noise=SensorNoise(*arrays[name + NOISE].tolist()) if name + NOISE in arrays else TYPICAL_NOISE,
         )
         for name, mean in arrays.items()
         if "." not in name
@@ -87,6 +89,7 @@ def write_background(folder: Path, model: BackgroundModel) -> None:
             COUNTS: np.array([known.n_frames, known.n_refused]),
             REFUSED: known.refused,
             CLEAN: known.clean,
+            NOISE: np.array(known.noise),
             **{f".{name}": getattr(known, name) for name in DERIVED},
         }
         for ending, array in arrays.items():
