@@ -11,7 +11,7 @@ How the body was found does not matter: a comparison with the empty rig or a net
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from math import ceil
 
@@ -19,8 +19,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import FloatImage, GreyImage, PointsUV
+from pipeline.arrays import FloatImage, GreyImage, Mask, PointsUV
 from pipeline.frames import Frame
+from pipeline.segmentation.detail import is_wall, told_by_detail
 from pipeline.segmentation.edge_refinement import (
     N_COLUMNS,
     SHARP_SIGMA_PX,
@@ -30,6 +31,7 @@ from pipeline.segmentation.edge_refinement import (
 )
 from pipeline.segmentation.edge_width import local_sigmas_px, outline_sigmas_px, sigmas_across_px
 from pipeline.segmentation.local_threshold import CELL_PX, OPEN, RegionLevels, find_crossings, threshold
+from pipeline.segmentation.noise import TYPICAL_NOISE, SensorNoise
 from pipeline.segmentation.outline_fill import closed_up, redraw
 from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, FoundBy, Silhouette, ViewStatus
 from pipeline.segmentation.subpixel_edge import SubpixelEdge
@@ -57,6 +59,10 @@ CORE_SIGMAS = 3.0
 """Sigmas by which the core of a blurred body begins further within."""
 MAX_SCALE = 8.0
 """Greatest width of an edge, relative to a sharp one: its profile then still ends within a silhouette's margin."""
+LOW_CONTRAST = 0.05
+"""Least difference of a body from the wall in the second look, which detail has told from each other."""
+MIN_CAMOUFLAGED_PX = 10
+"""Pixels of the body that looked like wall, but for their detail, from which on grey levels are in doubt elsewhere."""
 GAP_MARGIN = 3
 """Points beside an unseen stretch of edge that are discarded as well."""
 
@@ -70,6 +76,7 @@ class Delineation:
     """The edge of the body and of the unknown pixels that it may extend behind; `None` where nothing is inside."""
     edge_sigma_px: float | None = None  # blur of most of the edge, `None` where it cannot be measured
     sigmas_across_px: tuple[float, float] | None = None  # of a blurred edge: across u and across v
+    is_camouflaged: bool = False  # whether some of the body looked like wall but for its detail
 
 
 def delineate(
@@ -78,10 +85,13 @@ def delineate(
     trimap: GreyImage,
     *,
     gain: float = 1.0,
+    noise: SensorNoise = TYPICAL_NOISE,
     min_contrast: float = MIN_CONTRAST,
     hole_px: int = HOLE_PX,
 ) -> Delineation:
     """Find the largest body and its sub-pixel edge, between its core and the border of what is possible.
+
+    Where that leaves holes, or stretches of the outline unseen, what has detail is body.
 
     Arrays must be contiguous and writable: compiled loops are compiled again for other kinds.
 
@@ -97,16 +107,34 @@ def delineate(
         be body, or else OUTSIDE.
     gain
         Factor on `expected`.
+    noise
+        That of the image's pixels.
     min_contrast
         Least difference of the body's level from `expected`, as a share of it; below, pixels are unknown.
     hole_px
         Holes of the body up to this area are filled.
     """
     region = RegionLevels(image=image, expected=expected, gain=np.float32(gain), trimap=trimap)
+    found = _delineated(region, min_contrast, hole_px, noise)
+    if found.edge is not None and len(found.edge.ends) == 2 and found.edge.seen.all():
+        return found
+    cells = slice(None, None, CELL_PX), slice(None, None, CELL_PX)
+    is_core, is_bare = told_by_detail(image[cells], expected[cells], gain, noise)
+    is_bare &= trimap != UNKNOWN
+    region = region._replace(trimap=np.where(is_core, INSIDE, trimap))
+    again = _delineated(region, LOW_CONTRAST, hole_px, noise, is_bare)
+    n_found = int(np.count_nonzero((again.labels == INSIDE) & (found.labels == OUTSIDE)))
+    return replace(again, is_camouflaged=n_found > MIN_CAMOUFLAGED_PX)
+
+
+def _delineated(
+    region: RegionLevels, min_contrast: float, hole_px: int, noise: SensorNoise, bare: Mask | None = None
+) -> Delineation:
+    trimap = region.trimap
     labels, levels, is_inside = threshold(region, min_contrast)
     if not is_inside or _is_noise(labels):
         return Delineation(labels=labels, edge=None)
-    contours = _trace(region, labels, levels, hole_px)
+    contours = _trace(region, labels, levels, hole_px, noise)
     sigma_px, widest_px = outline_sigmas_px(region, *_outer(contours))
     n_doubtful, is_blurred = 0, sigma_px > MAX_SHARP_SIGMA_PX
     if not is_blurred:
@@ -119,17 +147,23 @@ def delineate(
         across_px = sigmas_across_px(region, *_outer(contours))
         region = region._replace(trimap=_with_deeper_core(trimap, widest_px))
         labels, levels, _ = threshold(region, min_contrast)
-        contours = _trace(region, labels, levels, hole_px)
+        contours = _trace(region, labels, levels, hole_px, noise)
         n_doubtful = _place_edge(region, labels, contours, min_contrast, is_blurred)
     for _ in range(MAX_ROUNDS - 1):
         if n_doubtful == 0:
             break
         # what became unknown belongs to the body, whose edge is then further out
-        contours = _trace(region, labels, levels, hole_px)
+        contours = _trace(region, labels, levels, hole_px, noise)
         n_doubtful = _place_edge(region, labels, contours, min_contrast, is_blurred)
     points_uv, seen = _outer(contours)
     if 0 < np.count_nonzero(seen) < len(seen) and bridge_gaps(labels, points_uv, seen):
-        contours = _trace(region, labels, levels, hole_px)
+        contours = _trace(region, labels, levels, hole_px, noise)
+        _place_edge(region, labels, contours, min_contrast, is_blurred)
+    if bare is not None:  # the body does not reach where the wall is seen
+        height, width = labels.shape
+        is_wall_there = bare.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)[:height, :width]
+        labels[is_wall_there & (labels == UNKNOWN)] = OUTSIDE
+        contours = _trace(region, labels, levels, hole_px, noise)
         _place_edge(region, labels, contours, min_contrast, is_blurred)
     body, points_uv, ends = contours.body, contours.points_uv, contours.ends
     seen = contours.seen.view(np.uint8)
@@ -144,14 +178,34 @@ def delineate(
     return Delineation(labels=labels, edge=edge, edge_sigma_px=sigma_px or None, sigmas_across_px=across_px)
 
 
-def _trace(region: RegionLevels, labels: GreyImage, levels: FloatImage, hole_px: int) -> SubpixelEdge:
+def _trace(
+    region: RegionLevels, labels: GreyImage, levels: FloatImage, hole_px: int, noise: SensorNoise
+) -> SubpixelEdge:
     """Return the contours of the largest body in `labels` (h, w), their points half-way between the local levels."""
     body, contours = _largest_with_holes_filled(labels, hole_px)
+    if len(contours) > 1:
+        contours = [contours[0], *_seen_through(region, body, labels, contours[1:], noise)]
     pixels_uv = (contours[0] if len(contours) == 1 else np.concatenate(contours))[:, 0]
     ends = np.array([0, *accumulate(map(len, contours))])
     points_uv, seen = np.empty(pixels_uv.shape), np.empty(len(pixels_uv), np.uint8)
     find_crossings(region, levels, body, labels, pixels_uv, points_uv, seen)
     return SubpixelEdge(body=body, points_uv=points_uv, ends=ends, seen=seen.view(np.bool_))
+
+
+def _seen_through(
+    region: RegionLevels, body: GreyImage, labels: GreyImage, holes: Contours, noise: SensorNoise
+) -> Contours:
+    """Return the holes that show the wall; the others are filled: body, as bright there as the wall."""
+    kept = []
+    for hole in holes:
+        within = np.zeros_like(body)
+        cv2.drawContours(within, [hole], 0, 1, cv2.FILLED)
+        within &= body == OUTSIDE
+        if is_wall(within, region.image, region.expected, float(region.gain), noise):
+            kept.append(hole)
+        else:
+            body[within != 0] = labels[within != 0] = INSIDE
+    return kept
 
 
 def _outer(contours: SubpixelEdge) -> tuple[PointsUV, GreyImage]:
@@ -232,6 +286,7 @@ def silhouette_of(
         edge_sigma_px=delineation.edge_sigma_px,
         sigmas_across_px=delineation.sigmas_across_px,
         distances=delineation.edge,
+        is_camouflaged=delineation.is_camouflaged,
         found_by=found_by,
     )
 

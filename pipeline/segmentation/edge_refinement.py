@@ -31,8 +31,8 @@ SMOOTHED, NORMAL, RESIDUAL, BACKGROUND, PEAK_SLOPE, IS_OFF, N_COLUMNS = LANES, 1
 """Columns of the scratch array, after the slopes across the edge at a point: these smoothed along the edge, the inward
 normal (2,), what is left of the body just outside, the background's level there, the greatest slope, and whether it
 seems not to be the body's edge."""
-MIN_SLOPE = np.float32(0.04)
-"""Least slope of an edge over `SLOPE_STEPS`, as a share of the background; grain and noise have less."""
+MIN_SLOPE_SHARE = np.float32(1 / 3)
+"""Least slope of an edge over `SLOPE_STEPS`, as a share of a body's least contrast; grain and noise have less."""
 OUTSIDE_PX = np.float32(3.0)
 """Distance outside of a sharp edge from which on neither lens nor motion show the body."""
 OUTSIDE_SCALES = np.float32(2.3)
@@ -127,7 +127,10 @@ def find_doubtful(
             residual += BINOMIAL[j] * scratch[_neighbour(i, j, scales[i], n_points), RESIDUAL]
         background = scratch[i, BACKGROUND]
         max_residual = max(RESIDUAL_SHARE * min_contrast * background, MAX_NOISE_GREY)
-        is_off = scratch[i, PEAK_SLOPE] < MIN_SLOPE * background or abs(residual) > max_residual
+        is_off = (
+            scratch[i, PEAK_SLOPE] < MIN_SLOPE_SHARE * min_contrast * background
+            or abs(residual) > max_residual
+        )
         scratch[i, IS_OFF] = np.float32(is_off)
     n_doubtful = 0
     for i in range(n_points):

@@ -56,6 +56,8 @@ class _Refusal:
     network_trouble: str | None = None
 
 
+AS_GREY = "in places as grey as the wall behind it"
+"""Doubt about a body some of which looked like wall but for its detail."""
 NOISE_PER_BLOCK = 2 / 3
 """Error of a block of wall that noise explains, relative to a pixel's: two standard deviations of a mean of nine."""
 WARM_UP_BLUR_PX = 3.0
@@ -131,7 +133,8 @@ class ChoosingSegmenter:
             return None
         known, p = background[frame.camera], self.parameters
         if found.is_usable:
-            return _outline_doubt(found, compared, known, p)
+            hides = found.is_camouflaged and len(found.outline_uv) < len(found.reach_uv)
+            return _outline_doubt(found, compared, known, p) or (AS_GREY if hides else None)
         view = _block_view(compared, known)
         doubt = _light_doubt(view, p)
         if doubt is None and found.status is ViewStatus.EMPTY:

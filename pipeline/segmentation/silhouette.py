@@ -93,6 +93,8 @@ class Silhouette:
     sigmas_across_px: tuple[float, float] | None = None
     """Blur of the edges across u, and of those across v; None for a sharp edge, or without one of the two."""
     distances: Distances = NO_DISTANCES
+    is_camouflaged: bool = False
+    """Whether some of the body is as grey as the wall behind it, and was found by its detail alone."""
     found_by: FoundBy = FoundBy.BACKGROUND
     fallback: str | None = None
     """Why it is not by the segmenter that was asked first; reasons joined by "; "."""

@@ -5,7 +5,7 @@ told apart: those pixels are unknown, and an unknown pixel never carves.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import cv2
@@ -16,8 +16,9 @@ from pipeline.arrays import FloatImage, GreyImage
 from pipeline.frames import Frame
 from pipeline.segmentation.background import COARSE, BackgroundModel, CameraBackground
 from pipeline.segmentation.delineation import delineate, no_body, silhouette_of
+from pipeline.segmentation.detail import told_by_detail
 from pipeline.segmentation.light import EVEN_SHARE, uneven_light
-from pipeline.segmentation.noise import noise_grey, smoothed
+from pipeline.segmentation.noise import SensorNoise, noise_grey, smoothed
 from pipeline.segmentation.pixel_comparison import DIFFERS, Thresholds, background_trimap, compare, sampled
 from pipeline.segmentation.silhouette import MARGIN_PX, Silhouette, ViewStatus
 
@@ -77,6 +78,8 @@ class BackgroundSegmenter:
         thresholds = self.thresholds(seen, known)
         compared = compare_view(seen, known, thresholds, noise_grey(frame.image))
         status, box = self.locate(compared)
+        if status is ViewStatus.MULTIPLE:  # or one that is in places as grey as the wall behind it
+            status, box = self.locate(_with_detail(compared, known.noise))
         if box is None:
             return no_body(frame, status), compared
         region = _full_size(box, frame.image.shape)
@@ -93,6 +96,7 @@ class BackgroundSegmenter:
             expected,
             background_trimap(image, expected, empty_levels, thresholds),
             gain=compared.gain,
+            noise=known.noise,
             min_contrast=self.parameters.min_contrast,
             hole_px=self.parameters.hole_px,
         )
@@ -163,6 +167,12 @@ def compare_view(
         marks=marks,
         differing=(slice(top, bottom), slice(left, right)),
     )
+
+
+def _with_detail(compared: ComparedView, noise: SensorNoise) -> ComparedView:
+    """Return the comparison in which all that has detail differs; what lies between two bodies has none."""
+    is_body, _ = told_by_detail(compared.seen, compared.levels, compared.gain, noise, even=1)
+    return replace(compared, marks=np.where(is_body, DIFFERS, compared.marks))
 
 
 def _marked_components(

@@ -33,7 +33,7 @@ class ViewsParameters:
     reduced: int = 12
     min: int = 8  # fewer are not measured
     max_unusable: int = 2  # views showing several bodies, or a cut one, before the whole bundle is rejected
-    max_unseen_share: float = 0.7  # of the outline, in half of the views
+    max_unseen_share: float = 0.95  # of the outline, in half of the views
 
     def __post_init__(self) -> None:
         if not 2 <= self.min <= self.reduced <= self.good:

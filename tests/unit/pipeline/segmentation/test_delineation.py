@@ -16,9 +16,17 @@ from support.extents import examples
 from support.flat_delineation import flat_delineation
 
 from pipeline.arrays import Floats, GreyImage, Mask, PointsUV
-from pipeline.segmentation import edge_refinement, edge_width, local_threshold, outline_fill, subpixel_edge
-from pipeline.segmentation.delineation import Delineation, delineate
-from pipeline.segmentation.local_threshold import trimap_of
+from pipeline.segmentation import (
+    delineation,
+    edge_refinement,
+    edge_width,
+    local_threshold,
+    outline_fill,
+    subpixel_edge,
+)
+from pipeline.segmentation.delineation import HOLE_PX, MIN_CONTRAST, Delineation, delineate
+from pipeline.segmentation.local_threshold import RegionLevels, trimap_of
+from pipeline.segmentation.noise import TYPICAL_NOISE
 from pipeline.segmentation.segmenter_choice import warm_up
 from pipeline.segmentation.silhouette import FINE_PX, INSIDE, MARGIN_PX, OUTSIDE, UNKNOWN
 
@@ -87,7 +95,12 @@ def test_quick_and_flat_delineation_agree(
         glint = np.hypot(*(np.mgrid[:SIZE_PX, :SIZE_PX] - SIZE_PX / 2)) < 5
         image[glint] = round(WALL)
         core = blocky(core & ~glint)
-    found = delineate(image, wall(), halved(core, possible, unknown))
+    region = RegionLevels(
+        image=image, expected=wall(), gain=np.float32(1), trimap=halved(core, possible, unknown)
+    )
+    found = delineation._delineated(
+        region, MIN_CONTRAST, HOLE_PX, TYPICAL_NOISE
+    )  # a second look is by detail
     labels, points, is_tie = flat_delineation(
         image.astype(np.float32), wall().astype(np.float32), core, possible, unknown
     )
