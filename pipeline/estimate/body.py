@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.arrays import Faces, PointsMM, Values, Vector
+from pipeline.arrays import Faces, Flags, PointsMM, Values, Vector
 from pipeline.compiled import compiled
 from pipeline.estimate.smoothness import bulge_share, smoothness
 from pipeline.estimate.surface import InnerSurface, inner_surface
@@ -45,6 +45,8 @@ class BodyEstimate:
     hull_area_mm2: float
     corners_mm: PointsMM = field(default_factory=lambda: np.empty((0, 3)))
     """Points (C, 3) where tangent rays touch the body; marching cubes cuts those at its corners."""
+    is_seen: Flags = field(default_factory=lambda: np.empty(0, np.bool_))
+    """Whether an edge was seen there (C,): else the body may be anywhere below."""
     fallback: str | None = None  # why the estimate is the hull itself
 
 
@@ -77,6 +79,7 @@ def estimate_body(hull: ParticleMesh, views: PreparedViews) -> BodyEstimate:
         hull_volume_mm3=hull_volume_mm3,
         hull_area_mm2=hull_area_mm2,
         corners_mm=inner.corners_mm,
+        is_seen=inner.is_seen,
     )
 
 

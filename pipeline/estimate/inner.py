@@ -70,8 +70,10 @@ def inner_body(tangents: Tangents) -> InnerBody | None:
         return None
     low_mm, high_mm = bounds(points_mm[first])
     growth = growth_for(len(order), float((high_mm - low_mm).max()), TOLERANCE)
-    if not start(points_mm, first, growth):
-        return None
+    if not start(points_mm, first, growth):  # the best known ones all lie on one side
+        first, batches = order, []
+        if not start(points_mm, first, growth):
+            return None
     added = first
     try:
         for batch in (first[:0], *batches):

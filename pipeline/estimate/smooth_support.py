@@ -8,7 +8,7 @@ well, average the noise of the outlines, and their gradient is the point that to
 those of each view are predicted from the other views' (leave one out), and the error of that is known in closed form.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -107,14 +107,12 @@ def smoothed(tangents: Tangents, support: SmoothSupport, weight: float) -> Tange
     up_mm = heights_mm - _dot(tangents.points_mm, normals)
     across_mm = support.slopes_mm(normals, across) - _dot(tangents.points_mm, across)
     along_mm = support.slopes_mm(normals, directions) - _dot(tangents.points_mm, directions)
-    return Tangents(
-        normals=normals,
+    return replace(
+        tangents,
         offsets_mm=tangents.offsets_mm + weight * (heights_mm - tangents.offsets_mm),
         points_mm=tangents.points_mm + weight * (up_mm[:, None] * normals + across_mm[:, None] * across),
-        directions=directions,
         low_mm=tangents.low_mm + weight * (along_mm - tangents.low_mm),
         high_mm=tangents.high_mm + weight * (along_mm - tangents.high_mm),
-        owners=tangents.owners,
     )
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Floats, PointsMM, Values, Vector
+from pipeline.arrays import Flags, Floats, PointsMM, Values, Vector
 from pipeline.compiled import compiled, compiled_within
 from pipeline.estimate.smooth_support import inner_of
 from pipeline.estimate.smoothness import local_share, segment_shares, sphere_segment_mm
@@ -24,6 +24,7 @@ class InnerSurface(NamedTuple):
     half_heights: Values  # (N,) from there, half the mean height of the tangent planes of the face's corners
     local_share: Values  # (N,) of segments, see `smoothness`
     corners_mm: PointsMM  # (C, 3) of the inner body, where tangent rays touch
+    is_seen: Flags  # (C,) whether an edge was seen there
 
 
 def inner_surface(views: PreparedViews, center_mm: Vector, points_mm: PointsMM) -> InnerSurface | str:
@@ -44,9 +45,10 @@ def inner_surface(views: PreparedViews, center_mm: Vector, points_mm: PointsMM) 
     if not np.isfinite(sphere_mm):
         return "the views leave the hull of a sphere open"
     shares = local_share(tangents.normals, segment_shares(found, sphere_mm))
-    corners_mm = center_mm + inner.points_mm[np.unique(inner.facets.corners)]
+    touching = np.unique(inner.facets.corners)
+    corners_mm, is_seen = center_mm + inner.points_mm[touching], tangents.is_seen[touching]
     radii, half_heights, shares_there = np.empty((3, len(points_mm)))
-    surface = InnerSurface(radii, half_heights, shares_there, corners_mm)
+    surface = InnerSurface(radii, half_heights, shares_there, corners_mm, is_seen)
     planes = np.column_stack([tangents.normals, tangents.offsets_mm, shares])
     last = np.zeros((2, 2, 2), np.int32)
     _follow_rays(points_mm, center_mm, inner.facets, inner.solvers, planes, last, surface)

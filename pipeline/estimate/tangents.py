@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.arrays import Directions, Floats, Indices, PointsMM, PointsUV, Values, Vector
+from pipeline.arrays import Directions, Flags, Floats, Indices, PointsMM, PointsUV, Values, Vector
 from pipeline.compiled import compiled
 from pipeline.views.outline_hull import is_edge_seen
 from pipeline.views.prepared import PreparedViews
@@ -54,6 +54,7 @@ class Tangents:
     low_mm: Values  # (N,)
     high_mm: Values  # (N,)
     owners: Indices  # (N,) index of the view, in order
+    is_seen: Flags  # (N,) whether the edge was seen there: else they are of all that may be body
 
     @property
     def lengths_mm(self) -> Values:
@@ -96,6 +97,7 @@ def find_tangents(views: PreparedViews, center_mm: Vector) -> Tangents:
         low_mm=low_mm[touching],
         high_mm=high_mm[touching],
         owners=np.repeat(np.arange(len(views)), is_known.sum(axis=1))[touching],
+        is_seen=_is_seen(views)[farthest.ravel()[best][is_known.ravel()]][touching],
     )
     _settle(
         tangents.normals,
@@ -106,6 +108,25 @@ def find_tangents(views: PreparedViews, center_mm: Vector) -> Tangents:
         tangents.high_mm,
     )
     return tangents
+
+
+def _is_seen(views: PreparedViews) -> Flags:
+    """Mark the points (N,) of the views' stacked borders that are on an edge which was seen, and not beside a gap."""
+    flags = [np.zeros(0, np.bool_)]
+    for seen in views.silhouettes:
+        border, outline = (
+            np.ascontiguousarray(each).view(complex)[:, 0] for each in (seen.reach_uv, seen.outline_uv)
+        )
+        is_on: Flags = np.ones(len(border), np.bool_)
+        if len(outline) < len(border):
+            around = np.isin(border, outline).take(
+                np.arange(-SEEN_POINTS, len(border) + SEEN_POINTS), mode="wrap"
+            )
+            is_on = np.asarray(
+                np.lib.stride_tricks.sliding_window_view(around, 2 * SEEN_POINTS + 1).all(axis=1)
+            )
+        flags.append(is_on)
+    return np.concatenate(flags)
 
 
 @compiled

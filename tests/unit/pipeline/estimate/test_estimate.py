@@ -238,6 +238,20 @@ def test_the_inner_body_touches_every_tangent_plane_and_leaves_none(name: str) -
     assert np.quantile(reach_mm - tangents.offsets_mm, 0.99) < 0.06
 
 
+def test_the_inner_body_is_found_where_the_best_known_contacts_lie_in_a_plane() -> None:
+    """Before a wall with spots few outlines are seen; those of a cube's face alone span no body."""
+    truth, silhouettes, _ = seen("sphere")
+    tangents = find_tangents(prepare_views(silhouettes, RIG), truth.center_mass)
+    in_plane = np.argsort(np.abs(tangents.points_mm[:, 2]))[: len(tangents.lengths_mm) // 4]
+    points_mm, low_mm, high_mm = (
+        each.copy() for each in (tangents.points_mm, tangents.low_mm, tangents.high_mm)
+    )
+    points_mm[in_plane, 2] = low_mm[in_plane] = high_mm[in_plane] = 0.0
+    inner = inner_body(replace(tangents, points_mm=points_mm, low_mm=low_mm, high_mm=high_mm))
+    assert inner is not None
+    assert inner.volume_mm3 == pytest.approx(truth.volume, rel=0.1)
+
+
 def test_the_same_silhouettes_give_the_same_body() -> None:
     _, silhouettes, hull = seen("flaky")
     again = estimate_body(hull, prepare_views(silhouettes, RIG))

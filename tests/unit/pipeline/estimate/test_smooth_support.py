@@ -41,6 +41,7 @@ def tangents_of(points_mm: Array, offsets_mm: Array) -> Tangents:
         low_mm=np.full(len(offsets_mm), -0.1),
         high_mm=np.full(len(offsets_mm), 0.4),
         owners=FOUND.owners,
+        is_seen=FOUND.is_seen,
     )
 
 
