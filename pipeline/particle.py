@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from pipeline.arrays import Greys
 from pipeline.carving import CarvingParameters, carve
@@ -38,6 +39,8 @@ from pipeline.views.quality import (
     unusable_views,
 )
 
+CUT_MM = 0.15
+"""Distance of a body's corner from that of its mesh, which marching cubes cuts off: most of a voxel's edge."""
 MIN_ANGULARITY_POINTS = 64
 """Fewest points of an outline whose angularity counts."""
 
@@ -211,7 +214,7 @@ def measure_bundle(
         if by_number is Quality.GOOD and shows_several(silhouettes):
             by_number = Quality.REDUCED
         try:
-            body = _body(bundle.frames, views, parameters, on_stage)
+            body = _body(bundle.frames, views, background, parameters, on_stage)
             angularity = _angularity([silhouettes[camera] for camera in silhouettes if camera not in dropped])
             measurement = _measure(
                 body, views, view_evidence(outlined, optics, consistency), angularity, rig, parameters
@@ -268,6 +271,7 @@ class _Body:
 def _body(
     frames: Mapping[CameraId, Frame],
     views: PreparedViews,
+    background: BackgroundModel,
     parameters: PipelineParameters,
     on_stage: Callable[[str], None],
 ) -> _Body:
@@ -292,7 +296,7 @@ def _body(
     on_stage("estimate")
     if parameters.body.kind != "photo" or estimate is None or estimate.fallback is not None:
         return _Body(hull=mesh, estimate=estimate)
-    refinement = refine_body(estimate, mesh, frames, views)
+    refinement = refine_body(estimate, mesh, frames, views, background)
     on_stage("refine")
     return _Body(hull=mesh, estimate=estimate, refinement=refinement)
 
@@ -315,6 +319,9 @@ def _measure(
     mesh, estimate, refinement = body.mesh, body.estimate, body.refinement
     supported_share = 0.0 if refinement is None else refinement.supported_share
     corners_mm = NO_POINTS if estimate is None else estimate.corners_mm
+    if estimate is not None and refinement is not None and refinement.fallback is None:
+        near_mm, _ = cKDTree(mesh.vertices_mm).query(corners_mm, distance_upper_bound=CUT_MM)
+        corners_mm = corners_mm[estimate.is_seen | np.isfinite(near_mm)]
     around_mm = NO_POINTS if mesh is body.hull else body.hull.vertices_mm
     shape = measure_shape(mesh.vertices_mm, mesh.faces, corners_mm, around_mm)
     if estimate is None or estimate.fallback is not None:

@@ -1,5 +1,6 @@
 """Self-intersections of a shifted mesh: triangles that cross, and shifts that are smoothed until none do."""
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -10,25 +11,48 @@ from pipeline.geometry.bounds import bounds
 
 Boxes = Annotated[Floats, "(F, 2, 3)"]
 
-N_REPAIRS = 8
+N_SMOOTHED, N_RETREATS = 10, 24
+"""Repairs that smooth, and then those that go back to the surface before: of most folds one is enough."""
+RETREAT = 0.5
+"""Share of the way back by which such a repair moves what crosses."""
 CELL_MM = 0.35
 """Edge of the cells in which triangles are compared: about that of a triangle, and half as much again."""
 MOST_CELLS = 128
 """Cells along an axis; those of larger bodies are larger."""
 
 
-def without_crossings(vertices_mm: PointsMM, faces: Faces) -> PointsMM | None:
-    """Return the vertices (V, 3), smoothed where the surface crosses itself; None if it still would."""
-    is_new = np.ones(len(vertices_mm), np.bool_)
-    for repair in range(N_REPAIRS + 1):
+def without_crossings(
+    vertices_mm: PointsMM, faces: Faces, before_mm: Sequence[PointsMM] = ()
+) -> PointsMM | None:
+    """Return the vertices (V, 3), smoothed where the surface crosses itself; None if it still would.
+
+    Where smoothing does not help, ever more goes back to the first surface of `before_mm` (V, 3), which is repaired
+    by the next ones.
+    """
+    vertices_mm, is_new = vertices_mm.copy(), np.ones(len(vertices_mm), np.bool_)
+    safe_mm = None
+    for repair in range(N_SMOOTHED + N_RETREATS):
         crossing = crossing_vertices(vertices_mm, faces, is_new)
         if not crossing.any():
             return vertices_mm
-        for _ in range(1 + repair // 2):
+        turn = repair - N_SMOOTHED
+        if turn == 0 and before_mm:
+            safe_mm = without_crossings(before_mm[0], faces, before_mm[1:])
+        if turn >= 0 and safe_mm is None:
+            return None
+        for _ in range(repair // 2 if turn < 0 else 2 + turn // 2):
             crossing = _widened(crossing, faces)
-        for _ in range(2 + repair // 2):
-            vertices_mm = np.where(crossing[:, None], _neighbour_means(vertices_mm, faces), vertices_mm)
-        is_new = crossing  # what crossed has moved: triangles that stayed cross none that stayed
+        moving = _widened(crossing, faces)
+        around = faces[moving[faces].any(axis=1)]
+        if safe_mm is None:
+            for _ in range(2 + repair // 2):
+                _smooth(vertices_mm, around, moving)
+        else:
+            shifts_mm = vertices_mm - safe_mm
+            shifts_mm[crossing] *= 1 - RETREAT
+            _smooth(shifts_mm, around, moving)
+            vertices_mm = np.where(moving[:, None], safe_mm + shifts_mm, vertices_mm)
+        is_new = moving  # what crossed has moved: triangles that stayed cross none that stayed
     return None
 
 
@@ -175,22 +199,23 @@ def _widened(flags: Flags, faces: Faces) -> Flags:
 
 
 @compiled
-def _neighbour_means(values: PointsMM, faces: Faces) -> PointsMM:
-    """Return the means (V, 3) of the values of each vertex and of its neighbours."""
-    sums, counts = values.copy(), np.ones(len(values))
-    for face in range(len(faces)):
+def _smooth(vertices_mm: PointsMM, around: Faces, moving: Flags) -> None:
+    """Move vertices (V, 3) that are `moving` to the mean of themselves and their neighbours, by the faces `around`."""
+    sums, counts = np.zeros_like(vertices_mm), np.ones(len(vertices_mm))
+    for face in range(len(around)):
         for k in range(3):
-            a, b = (
-                faces[face, k],
-                faces[face, (k + 1) % 3],
-            )  # each edge belongs to two faces, once in each direction
+            # each edge belongs to two faces, once in each direction
+            a, b = around[face, k], around[face, (k + 1) % 3]
             counts[a] += 1
             for axis in range(3):
-                sums[a, axis] += values[b, axis]
-    for i in range(len(values)):
-        for axis in range(3):
-            sums[i, axis] /= counts[i]
-    return sums
+                sums[a, axis] += vertices_mm[b, axis]
+    for face in range(len(around)):
+        for k in range(3):
+            a = around[face, k]
+            if moving[a] and counts[a] > 0:
+                for axis in range(3):
+                    vertices_mm[a, axis] = (vertices_mm[a, axis] + sums[a, axis]) / counts[a]
+                counts[a] = 0
 
 
 @compiled_within

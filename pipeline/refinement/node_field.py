@@ -11,7 +11,7 @@ from pipeline.refinement.nodes import MAX_NEIGHBOURS, Nodes, smoothed
 from pipeline.refinement.passes import ALIKE, DOUBTFUL, EVIDENCE, PEAKED, RIDGE, TOUCH_MM
 
 CURVATURE_ROUNDS = 2
-MAX_SLOPE = 1.5
+MAX_SLOPE = 2.5
 CHANCE_MM = (0.02, 0.08)
 """Shifts (mm, rms of a neighbourhood) that patches have by chance, with full confidence and with none."""
 CHANCE_ROUNDS = 4
@@ -66,19 +66,21 @@ def _fit_slopes(
         slopes[i, 1] = (ss * th - st * sh) / (ss * tt - st * st)
 
 
-def flat_gate(nodes: Nodes) -> Values:
-    """Return 1 for nodes (K,) where the estimate is smooth, 0 at its sharp convex edges, from their own normals."""
+def flat_gate(nodes: Nodes, touches: Values) -> Values:
+    """Return 1 for nodes (K,) where patches lie on one face, 0 at sharp convex edges of the body, by their own normals.
+
+    Tangent rays touch an edge of the body, `touches` (K,), and none those of the estimate that span a dent.
+    """
     has = nodes.neighbours >= 0
     around = nodes.normals + (nodes.normals[nodes.neighbours] * has[:, :, None]).sum(axis=1)
     sharpness = 1 - np.linalg.norm(around, axis=1) / (1 + has.sum(axis=1))
     offsets_mm = (nodes.points_mm[nodes.neighbours] - nodes.points_mm[:, None]) * has[:, :, None]
     is_convex = np.einsum("nkc,nc->n", offsets_mm, nodes.normals) < 0
-    gate = np.clip((RIDGE[1] - sharpness) / (RIDGE[1] - RIDGE[0]), 0, 1)
-    gate = np.where(is_convex, gate, 1.0)
-    gate[nodes.at_edge] = 0.0
-    return np.minimum(
-        gate, np.where(has, gate[nodes.neighbours], 1.0).min(axis=1)
-    )  # their patches reach over it
+    touched = np.maximum(touches, np.where(has, touches[nodes.neighbours], 0.0).max(axis=1)) ** 0.25
+    closed = np.clip((sharpness - RIDGE[0]) / (RIDGE[1] - RIDGE[0]), 0, 1) * touched * is_convex
+    closed[nodes.at_edge] = 1.0
+    # their patches reach over it
+    return 1 - np.maximum(closed, np.where(has, closed[nodes.neighbours], 0.0).max(axis=1))
 
 
 def touch_weights(points_mm: PointsMM, touches_mm: PointsMM) -> Values:

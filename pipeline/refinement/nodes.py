@@ -84,6 +84,24 @@ def spread_nodes(
     return Nodes(chosen, nodes_mm, node_normals, neighbours, spacing_mm, at_edge)
 
 
+def of_nodes(nodes: Nodes, chosen: Flags) -> Nodes:
+    """Return some of the nodes, chosen by flags (K,), alone: neighbours of each are those of them that it had."""
+    numbers = np.full(len(chosen) + 1, -1, np.int32)
+    numbers[:-1][chosen] = np.arange(np.count_nonzero(chosen))
+    return nodes._replace(
+        chosen=nodes.chosen[chosen],
+        points_mm=nodes.points_mm[chosen],
+        normals=nodes.normals[chosen],
+        neighbours=numbers[nodes.neighbours[chosen]],
+        at_edge=nodes.at_edge[chosen],
+    )
+
+
+def widened(flags: Flags, nodes: Nodes) -> Flags:
+    """Return the flags (K,) of all nodes that are flagged, or a neighbour of which is."""
+    return np.asarray(flags | (flags[nodes.neighbours] & (nodes.neighbours >= 0)).any(axis=1))
+
+
 def smoothed(nodes: Nodes, values: Floats, n_rounds: int) -> Floats:
     """Return values (K, ...), each the mean of a node's own and its neighbours', smoothed so many times."""
     links, has = nodes.neighbours, nodes.neighbours >= 0

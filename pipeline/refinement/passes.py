@@ -44,7 +44,7 @@ COARSE = Pass(
     scale=0.5,
     outward_mm=0.17,
     inward_mm=6.0,
-    deepest_share=0.17,  # most dents are 0.15 of the cube root of the volume deep, some twice that: the next pass
+    deepest_share=0.17,  # most dents are 0.15 of the cube root of the volume deep
     n_depths=16,
     step_mm=0.2,
     stiffness=0.0525,
@@ -59,10 +59,10 @@ MIDDLE = Pass(
     spacing_mm=0.6,
     half_mm=0.45,
     scale=0.5,
-    outward_mm=0.36,
-    inward_mm=0.36,
-    deepest_share=0.065,
-    n_depths=16,
+    outward_mm=0.2,
+    inward_mm=1.0,
+    deepest_share=0.13,
+    n_depths=24,
     step_mm=inf,
     stiffness=0.028,
     staying=0.0,
@@ -72,15 +72,8 @@ MIDDLE = Pass(
     even_score=0.5,
     spike_slope=0.4,
 )
-COARSE_AGAIN = replace(COARSE, outward_mm=1.0, inward_mm=2.0, staying=0.0, even_score=0.5)
-"""From there: which views see the bottom of a dent is known once it is found in part.
-
-Two views that meet on an even patch count as half alike, or a chance likeness far below would count for more.
-"""
 PASSES = (
     COARSE,
-    COARSE_AGAIN,
-    COARSE_AGAIN,
     MIDDLE,
     Pass(
         spacing_mm=0.36,
@@ -100,13 +93,24 @@ PASSES = (
         spike_slope=0.4,
     ),
 )
+SEARCHED_AGAIN = replace(
+    COARSE, spacing_mm=PASSES[-1].spacing_mm, half_mm=0.28, outward_mm=0.1, inward_mm=1.8, n_depths=24, step_mm=0.1,
+    stiffness=0.04, staying=0.0, max_views=3, even_score=1.0,
+)  # fmt: skip
+"""Wide once more at the last pass's nodes, but only where patches look unlike."""
+UNLIKE, UNLIKE_RINGS = 0.75, 1
+"""Score relative to that of most nodes below which a node is searched again, and the rings of neighbours with it."""
+ALIKE_SHARE = 0.65
+"""Score, relative to that of most nodes, from which patches count as alike in the end."""
 FULL_SIZE_MM = 13.0
 """Cube root of the volume from which lengths are those of the passes; those of smaller stones shrink with it."""
 LEAST_SCALE = 0.75
 NORMAL_ROUNDS = 2
 """Smoothing of the normals along which the surface is shifted: of half a millimetre around."""
-NOISE_GREY = 1.3
-"""Standard deviation of grey levels below which a patch shows no texture."""
+NOISE_LEFT = {0.5: 0.08, 1.0: 0.45}
+"""Share of a pixel's variance left in images at half their size, and between the pixels of those at full size."""
+UNLIKE_SHARE = 0.02
+"""Share of its grey level by which two views show the same place differently, by their shading and interpolation."""
 ALIKE = (0.4, 0.7)
 """Scores of no confidence and of full confidence."""
 PEAKED = 0.02
@@ -125,6 +129,6 @@ TOUCH_MM = 0.3
 PIN = 0.5
 """Cost of a millimetre away from such a point."""
 RIDGE = (0.05, 0.12)
-"""Sharpness of the estimate's convex edges from which flat patches begin to mislead, and from which they all do."""
+"""Sharpness of the body's convex edges from which flat patches begin to mislead, and from which they all do."""
 TRUNCATED_MM = 1.2
 """Difference of neighbours, times the stiffness, beyond which more costs no more."""

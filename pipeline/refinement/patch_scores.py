@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Directions, Floats, Indices32, PointsMM, Singles, Values
 from pipeline.compiled import compiled, compiled_within
-from pipeline.refinement.passes import NOISE_GREY, Pass
+from pipeline.refinement.passes import NOISE_LEFT, UNLIKE_SHARE, Pass
 from pipeline.refinement.sightings import PhotoViews, project_into
 
 
@@ -43,6 +43,8 @@ def patch_scores(
     gains, steps = patch_samples(each.n_samples)
     offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     weights = np.outer(gains, gains).ravel()
+    unlike2 = np.full((len(views.noise), 1), UNLIKE_SHARE**2)
+    noise2 = np.concatenate([NOISE_LEFT[each.scale] * views.noise, unlike2], axis=1)
     scores = np.zeros((len(patches.points_mm), len(depths_mm)), np.float32)
     _score(
         views.regions if each.scale == 1 else views.halves,
@@ -58,8 +60,8 @@ def patch_scores(
         depths_mm,
         (patches.half_mm * offsets).astype(np.float32),
         (weights / weights.sum()).astype(np.float32),
-        np.float32(NOISE_GREY**2),
-        np.float32(each.even_score * NOISE_GREY**2),
+        noise2.astype(np.float32),
+        np.float32(each.even_score),
         np.float32(each.pairs_share),
         scores,
     )
@@ -81,8 +83,8 @@ def _score(
     depths_mm: Values,
     offsets_mm: Singles,
     gains: Singles,
-    noise2: np.float32,
-    even2: np.float32,
+    noise2: Singles,
+    even_score: np.float32,
     pairs_share: np.float32,
     scores: Singles,
 ) -> None:
@@ -95,7 +97,7 @@ def _score(
         np.empty((2, n_samples * n_depths), np.float32),
         np.empty((4, n_samples * n_depths), np.int32),
     )
-    inverse_sd = np.empty((most, n_depths), np.float32)
+    noises2, inverse_sd = np.empty((2, most, n_depths), np.float32)
     at_u, at_v = np.empty(n_depths, np.float32), np.empty(n_depths, np.float32)
     sums = np.empty(n_depths, np.float32)
     is_used = np.empty(most, np.bool_)
@@ -149,7 +151,7 @@ def _score(
             is_used[k] = True
             n_used += 1
             _sample(flat[view], width, at_u, at_v, (ua, va, ub, vb), offsets_mm, room, greys[k])
-            _normalize(greys[k], gains, noise2, sums, inverse_sd[k])
+            _normalize(greys[k], gains, noise2[view], sums, noises2[k], inverse_sd[k])
         if n_used < 2:
             continue
         n_pairs = 0
@@ -162,7 +164,8 @@ def _score(
                 pair_weights[n_pairs] = weight
                 total_weight += weight
                 one, other = greys[k], greys[m]
-                sums[:] = even2
+                for depth in range(n_depths):
+                    sums[depth] = even_score * np.sqrt(noises2[k, depth] * noises2[m, depth])
                 for q in range(n_samples):
                     gain = gains[q]
                     for depth in range(n_depths):
@@ -233,16 +236,18 @@ def _sample(
 
 @compiled_within
 def _normalize(
-    greys: Singles, gains: Singles, noise2: np.float32, sums: Singles, inverse_sd: Singles
+    greys: Singles, gains: Singles, noise2: Singles, sums: Singles, noises2: Singles, inverse_sd: Singles
 ) -> None:
-    """Take the mean from the grey levels (samples, depths), and fill in the inverse of their standard deviation."""
+    """Take the mean from the grey levels (samples, depths); fill in its noise and the inverse of their deviation."""
     n_samples, n_depths = greys.shape
     sums[:] = 0
     for q in range(n_samples):
         gain = gains[q]
         for depth in range(n_depths):
             sums[depth] += gain * greys[q, depth]
-    inverse_sd[:] = noise2
+    for depth in range(n_depths):
+        noises2[depth] = noise2[0] + sums[depth] * (noise2[1] + noise2[2] * sums[depth])
+        inverse_sd[depth] = noises2[depth]
     for q in range(n_samples):
         gain = gains[q]
         for depth in range(n_depths):

@@ -31,7 +31,9 @@ class Field:
     sure: Values  # (K,) of the pixels
     peaked: Values  # (K,) of the pixels where patches deeper and shallower are less alike
     supported_share: float  # of the nodes but those at sharp edges, which silhouettes see
-    found_mm: float  # rms of what this pass added to the shifts of these nodes
+    gap_share: float  # of the others, that have no such neighbour either
+    depth_mm: float  # rms of the shifts of supported nodes
+    found_mm: float  # rms of what this pass added to them
 
 
 def carried_over(field: Field, nodes: Nodes) -> tuple[Values, Values]:

@@ -1,6 +1,7 @@
 """The views as the refinement reads them, and which of them see a node."""
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Annotated, NamedTuple
 
 import cv2
@@ -12,7 +13,9 @@ from pipeline.compiled import compiled, compiled_within
 from pipeline.frames import CameraId, Frame
 from pipeline.geometry.bounds import bounds
 from pipeline.rig.lens import region_lenses, region_pixel
-from pipeline.segmentation.silhouette import OUTSIDE, Silhouette
+from pipeline.segmentation.background import BackgroundModel
+from pipeline.segmentation.noise import TYPICAL_NOISE
+from pipeline.segmentation.silhouette import INSIDE, Silhouette
 from pipeline.views.prepared import PreparedViews
 
 MARGIN_PX = 12
@@ -28,7 +31,7 @@ SPLAT = 2
 """Pixels of the depth map that a node covers to each side."""
 MIN_COSINE = 0.3
 """Least cosine between normal and line of sight: 73 degrees. The bottom of a dent is often seen by few others."""
-SLACK_MM = 0.25
+SLACK_MM = 0.7
 """Depth behind the depth map that still counts as seen, beside what the covered pixels tilt."""
 
 
@@ -42,10 +45,16 @@ class PhotoViews(NamedTuple):
     R: Annotated[Floats, "(V, 3, 3)"]
     t_mm: PointsMM
     centers_mm: PointsMM
+    noise: Singles  # (V, 2) of their pixels: variance of reading, and per grey level
 
 
-def photo_views(frames: Mapping[CameraId, Frame], views: PreparedViews, vertices_mm: PointsMM) -> PhotoViews:
-    """Cut the regions that show the vertices from the images of the views."""
+def photo_views(
+    frames: Mapping[CameraId, Frame],
+    views: PreparedViews,
+    vertices_mm: PointsMM,
+    background: BackgroundModel = MappingProxyType({}),
+) -> PhotoViews:
+    """Cut the regions that show the vertices from the images of the views; noise is as the background has it."""
     low, high = [], []
     corners_mm = _box_corners(vertices_mm)
     for camera in views.calibrations:
@@ -70,11 +79,18 @@ def photo_views(frames: Mapping[CameraId, Frame], views: PreparedViews, vertices
         cameras.R,
         cameras.t_mm,
         cameras.centers_mm,
+        np.array(
+            [
+                TYPICAL_NOISE if (known := background.get(camera.id)) is None else known.noise
+                for camera in views.calibrations
+            ],
+            np.float32,
+        ),
     )
 
 
 def _inner(silhouette: Silhouette, corner_uv: Indices, size: tuple[int, int]) -> Mask:
-    """Mask the pixels of the coarse image of a region that are so far within the outline that no wall shines in."""
+    """Mask pixels of the coarse image of a region so far within what is surely body that no wall shines in."""
     canvas = np.zeros((size[0] // COARSE + 1, size[1] // COARSE + 1), np.uint8)
     own, labels = [], []
     for n, begin, offset, n_labels in zip(
@@ -85,7 +101,7 @@ def _inner(silhouette: Silhouette, corner_uv: Indices, size: tuple[int, int]) ->
         last = min(max(first, (n_labels - 1 - at) // COARSE + 1), n)
         own.append(slice(first, last))
         labels.append(slice(at + first * COARSE, at + last * COARSE, COARSE))
-    canvas[tuple(own)] = silhouette.labels[tuple(labels)] != OUTSIDE
+    canvas[tuple(own)] = silhouette.labels[tuple(labels)] == INSIDE
     sigma_px = SHARP_SIGMA_PX if silhouette.edge_sigma_px is None else silhouette.edge_sigma_px
     return np.asarray(cv2.distanceTransform(canvas, cv2.DIST_L2, 3) * COARSE > BORDER_SIGMAS * sigma_px)
 

@@ -76,7 +76,7 @@ def case(name: str) -> Case:
     assert result.hull is not None
     views = prepare_views(result.silhouettes, rig(), result.dropped).with_outline()
     estimate = estimate_body(result.hull, views)
-    refinement = refine_body(estimate, result.hull, bundle.frames, views)
+    refinement = refine_body(estimate, result.hull, bundle.frames, views, background())
     return Case(
         bundle=bundle, truth=truth, result=result, views=views, estimate=estimate, refinement=refinement
     )
@@ -138,7 +138,7 @@ def test_the_refined_body_is_closed_within_the_hull_and_does_not_cross_itself(na
 def test_the_same_images_give_the_same_body():
     dented = case("dented")
     assert dented.result.hull is not None
-    again = refine_body(dented.estimate, dented.result.hull, dented.bundle.frames, dented.views)
+    again = refine_body(dented.estimate, dented.result.hull, dented.bundle.frames, dented.views, background())
     np.testing.assert_array_equal(again.mesh.vertices_mm, dented.refinement.mesh.vertices_mm)
 
 

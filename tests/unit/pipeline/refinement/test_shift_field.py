@@ -20,6 +20,8 @@ def shifts(inward_mm: Values, room_mm: PointsMM) -> PointsMM:
         sure=EVERYWHERE,
         peaked=EVERYWHERE,
         supported_share=1.0,
+        gap_share=0.0,
+        depth_mm=0.0,
         found_mm=0.0,
     )
     return vertex_shifts(field, np.asarray(BALL.vertices), NORMALS, room_mm)

@@ -15,9 +15,10 @@ from support.render_cache import kept_rendered
 from support.rendered import SEED, background, rig, simulated
 
 from pipeline.arrays import Greys, Values
+from pipeline.body_measurement import BodyKind
 from pipeline.frames import Frame, FrameBundle
 from pipeline.meshing import ParticleMesh
-from pipeline.particle import BodyKind, BodyParameters, ParticleResult, PipelineParameters, measure_bundle
+from pipeline.particle import BodyParameters, ParticleResult, PipelineParameters, measure_bundle
 from pipeline.refinement import photo_views, sightings, texture, vertex_greys, warm_up_texture
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis import shading
