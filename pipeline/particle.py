@@ -24,7 +24,7 @@ from pipeline.segmentation import BackgroundModel, Segmenter, Silhouette, Silhou
 from pipeline.segmentation.optics import observe_all
 from pipeline.segmentation.subtraction import SegmentationParameters
 from pipeline.uncertainty import Cause, QualityParameters, Uncertainty, uncertainty, verdict
-from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT, Evidence, ViewEvidence, view_evidence
+from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT, Evidence, ViewEvidence, open_share, view_evidence
 from pipeline.view_mapper import ViewMapper
 from pipeline.view_optics import ViewOptics
 from pipeline.views.consistency import Consistency, ConsistencyParameters, check_consistency
@@ -221,7 +221,9 @@ def measure_bundle(
             )
         except (MeshError, ValueError, ArithmeticError) as err:
             raise RejectedError(RejectReason.IMPLAUSIBLE, f"the silhouettes bound no body: {err}") from err
-        quality = verdict(measurement.uncertainty, by_number, parameters.quality)
+        quality = verdict(
+            measurement.uncertainty, by_number, parameters.quality, parameters.body.kind == "photo"
+        )
         on_stage("measure")
         greys = None
         if parameters.body.is_textured:
@@ -345,7 +347,10 @@ def _measure(
         area_mm2=shape.surface_area_mm2,
         hull_mm3=hull.volume_mm3,
         is_estimated=kind != "hull",
+        open_share=open_share(views, body.hull.vertices_mm),
         supported_share=supported_share,
+        gap_share=1.0 if refinement is None else refinement.gap_share,
+        depth_mm=0.0 if refinement is None else refinement.depth_mm,
         relief_mm=0.0 if refinement is None else refinement.relief_mm,
         length_sd_percent=LENGTH_SD_PERCENT if rig.length_sd_percent is None else rig.length_sd_percent,
     )

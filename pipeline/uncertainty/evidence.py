@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.arrays import PointsMM
 from pipeline.frames import CameraId
-from pipeline.segmentation.silhouette import UNKNOWN, Silhouette
+from pipeline.segmentation.silhouette import INSIDE, OUTSIDE, UNKNOWN, Silhouette
 from pipeline.view_optics import ViewOptics
 from pipeline.views.consistency import Consistency
 from pipeline.views.prepared import PreparedViews
@@ -25,6 +26,9 @@ LENGTH_SD_PERCENT = 0.05
 show, is 0.05 % of a ball of 10 mm."""
 RMS_PX = 0.05
 """Residual of a calibration that does not state its own."""
+SAMPLED_VERTICES = 2000
+RING_PX = np.rint(3 * np.stack([f(np.arange(8) * np.pi / 4) for f in (np.cos, np.sin)])).astype(np.int64)
+"""Places (2, 8) around a pixel; an edge that passes it has both sides there, and hull and outline differ by less."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +40,6 @@ class ViewEvidence:
     motion_sigma_px: float  # the part of it that lies along the fall
     noise_grey: float
     step_grey: float  # height of the edge
-    unseen_share: float  # of the outline, 0..1
     undecided_share: float  # of the area that may be body: unknown, where the edge was not seen
     calibration_px: float  # residual of the camera's calibration
     tangency_px: float | None  # epipolar residual against the other views, None where no pair shows it
@@ -53,7 +56,10 @@ class Evidence:
     hull_mm3: float
     is_estimated: bool  # False: the body is the hull
     length_sd_percent: float
+    open_share: float = 0.0  # of the hull's surface, that no outline bounds which was seen
     supported_share: float = 0.0  # of the surface, where the pixels inside the outlines show how deep it lies
+    gap_share: float = 1.0  # of the surface, where they do not, nor beside it
+    depth_mm: float = 0.0  # rms by which they shift it from what the outlines say
     relief_mm: float = 0.0  # rms of the finest relief that they show there
 
 
@@ -75,7 +81,6 @@ def view_evidence(
                 motion_sigma_px=motion_px,
                 noise_grey=noise_grey,
                 step_grey=WALL_GREY * (TYPICAL_CONTRAST if contrast is None else contrast),
-                unseen_share=share_unseen(silhouette),
                 undecided_share=_undecided_share(silhouette),
                 calibration_px=RMS_PX if camera.rms_px is None else camera.rms_px,
                 tangency_px=consistency.tangency_px.get(camera.id),
@@ -83,6 +88,25 @@ def view_evidence(
             )
         )
     return tuple(seen)
+
+
+def open_share(views: PreparedViews, hull_mm: PointsMM) -> float:
+    """Return the share of the hull's vertices (N, 3) that no view has on an edge which it saw.
+
+    They lie on the border of what is unknown in one view and within the outlines of all others: the body may end
+    anywhere below. What is unknown in one view alone leaves little open, since the others carve there.
+    """
+    some_mm = hull_mm[:: max(1, len(hull_mm) // SAMPLED_VERTICES)]
+    is_bounded = np.zeros(len(some_mm), np.bool_)
+    for camera, silhouette in zip(views.calibrations, views.silhouettes, strict=True):
+        left = np.flatnonzero(~is_bounded)
+        at_uv = np.rint(camera.project(some_mm[left])[0]).astype(np.int64) - silhouette.offset_uv
+        height, width = silhouette.labels.shape
+        columns, rows = (at_uv.T[:, None] + RING_PX[:, :, None]).clip(0, [[[width - 1]], [[height - 1]]])
+        around = silhouette.labels[rows, columns]
+        has = [(around == label).any(axis=0) for label in (INSIDE, OUTSIDE, UNKNOWN)]
+        is_bounded[left] = has[0] & has[1] & ~has[2]
+    return float(np.mean(~is_bounded))
 
 
 def _undecided_share(silhouette: Silhouette) -> float:

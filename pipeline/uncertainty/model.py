@@ -32,23 +32,27 @@ GAP_SHARE = 0.1
 0.11 of the gap to it on average, with the opposite sign for round bodies."""
 HULL_EXCESS = 4.0
 """Excess of the hulls of stones relative to that of a sphere's, which is all that a hull is corrected by."""
-UNSEEN_RISE = 0.15
-"""Distance, as a share of the mean radius, by which a patch that no view outlines is off: a sphere rises by 0.13 over
-a chord of 60 degrees. The share of such patches is that of unseen outline squared: two views or more outline each."""
+UNSEEN_RISE, CAP_RISE = 0.15, 2.0
+"""Distance, as a share of the mean radius, by which a patch that no view outlines is off at most: a sphere rises by
+0.13 over a chord of 60 degrees; and for each share of the surface that it covers, as a sphere's cap rises."""
 TEXTURE_SHARE = 0.15
 """Standard deviation of a stone's texture, as a share of the wall's level."""
 HIDDEN_PERCENT = 2.5
 """Volume of the dents and pores that no silhouette shows; one sigma, since they differ from stone to stone: 0 to 4 % of
 our bodies, up to 6 % of scanned stones. Dents lie here and there: their variance grows with the surface that may have
 them."""
-REFINED_MM = 0.015
-"""Standard deviation of the surface where pixels inside the outlines show how deep it lies: a third of a pixel. Relief
-finer than the patches, which no pixel shows, is taken to be as deep as the finest that they show."""
-COMMON_SHARE = 0.5
-"""Share of a surface's error that has the same sign all around, and so changes the volume."""
-ALL_COMMON = (Cause.UNSEEN, Cause.CONTRAST, Cause.CALIBRATION)
-"""Causes whose whole error has the same sign all around: what is unknown is not carved, what looks like the wall is; a
-wrong scale. So have dents, but not what is left where pixels show them."""
+DENT_FACTOR, DENTS_SHARE = 1.5, 0.05
+"""Depth of those dents, rms over the surface that may have them, for each of their mean depth; and share of the surface
+that says as much of dents, where pixels show it, as other stones do."""
+REFINED_MM, MISSED_RELIEF = 0.01, 1.4
+"""Standard deviation of the surface where pixels inside the outlines show how deep it lies, a quarter of a pixel; and
+depth of what they miss there, for each millimetre of the finest relief that they show."""
+COMMON_SHARE, REFINED_COMMON_SHARE = 0.5, 0.2
+"""Share of a surface's error that has the same sign all around, and so changes the volume: of an outline's, which holds
+for a whole view, and of what pixels show, patch by patch."""
+ALL_COMMON = (Cause.CONTRAST, Cause.CALIBRATION)
+"""Causes whose whole error has the same sign all around: what looks like the wall is carved; a wrong scale. So have
+dents, but not what is left where pixels show them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,8 +85,13 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
     radius_mm = 3 * volume_mm3 / area_mm2  # of a sphere with this ratio
     scale_mm = evidence.length_sd_percent / 100 * radius_mm
     hidden_share = 1 - evidence.supported_share
-    dents_mm = sqrt(hidden_share) * HIDDEN_PERCENT / 100 * volume_mm3 / area_mm2
-    refined_mm = sqrt(evidence.supported_share) * hypot(REFINED_MM, evidence.relief_mm)
+    dents_mm = _dents_mm(evidence)
+    dented_mm, dents_mean_mm = (
+        sqrt(evidence.gap_share) * dents_mm,
+        evidence.gap_share * dents_mm / DENT_FACTOR,
+    )
+    unseen_mm, unseen_mean_mm = _unseen_mm(evidence, radius_mm)
+    refined_mm = sqrt(evidence.supported_share) * hypot(REFINED_MM, MISSED_RELIEF * evidence.relief_mm)
     surface_mm = {
         Cause.PIXELS: _rms_mm(evidence, lambda view: SHARE_OF_SIGMA * SHARP_SIGMA_PX),
         Cause.FOCUS: _rms_mm(evidence, lambda view: SHARE_OF_SIGMA * _defocus_px(view)),
@@ -90,25 +99,34 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
         Cause.NOISE: _rms_mm(
             evidence, lambda view: hypot(SHARE_OF_SIGMA * _smoothing_px(view), _noise_px(view))
         ),
-        Cause.UNSEEN: _unseen_mm(evidence, radius_mm),
+        Cause.UNSEEN: unseen_mm,
         Cause.CONTRAST: UNSEEN_RISE
         * radius_mm
-        * float(np.mean([_share_like_wall(view.step_grey) for view in evidence.views])),
+        * float(np.mean([_share_like_wall(view.step_grey) for view in evidence.views]))
+        * hidden_share,
         Cause.VIEWS: (GAP_SHARE if evidence.is_estimated else HULL_EXCESS)
         * max(evidence.hull_mm3 - volume_mm3, 0.0)
         / area_mm2
         * hidden_share,
         Cause.DISAGREEMENT: _disagreement_mm(evidence),
         Cause.CALIBRATION: hypot(scale_mm, _rms_mm(evidence, lambda view: view.calibration_px)),
-        Cause.HIDDEN: hypot(dents_mm, refined_mm),
+        Cause.HIDDEN: hypot(dented_mm, refined_mm),
     }
     percent_per_mm = 100 * area_mm2 / volume_mm3
     volume_percent = {
         cause: percent_per_mm * sd_mm * (1.0 if cause in ALL_COMMON else COMMON_SHARE)
         for cause, sd_mm in surface_mm.items()
     }
-    volume_percent[Cause.HIDDEN] = percent_per_mm * hypot(dents_mm, COMMON_SHARE * refined_mm)
+    volume_percent[Cause.UNSEEN] = percent_per_mm * unseen_mean_mm
+    volume_percent[Cause.HIDDEN] = percent_per_mm * hypot(dents_mean_mm, REFINED_COMMON_SHARE * refined_mm)
     return Uncertainty(surface_mm=surface_mm, volume_percent=volume_percent)
+
+
+def _dents_mm(evidence: Evidence) -> float:
+    """Return the rms depth of dents where pixels show none: as where they do, as far as these show enough."""
+    usual_mm = DENT_FACTOR * HIDDEN_PERCENT / 100 * evidence.volume_mm3 / evidence.area_mm2
+    known = evidence.supported_share / (evidence.supported_share + DENTS_SHARE)
+    return sqrt(known * evidence.depth_mm**2 + (1 - known) * usual_mm**2)
 
 
 def _rms_mm(evidence: Evidence, of_view_px: Callable[[ViewEvidence], float]) -> float:
@@ -133,15 +151,18 @@ def _defocus_px(view: ViewEvidence) -> float:
     return sqrt(max(view.edge_sigma_px**2 - others_px**2, 0.0))
 
 
-def _unseen_mm(evidence: Evidence, radius_mm: float) -> float:
+def _unseen_mm(evidence: Evidence, radius_mm: float) -> tuple[float, float]:
     """Return by how much patches that no view outlines are off, and openings that only undecided views look through.
 
-    An opening is filled where the views through it leave it unknown: a share of the volume as great as that of their
-    area is at stake, in each of them.
+    As rms over the surface, and as mean: all of it has one sign. Where pixels show the surface, both are known. An
+    opening is filled where the views through it leave it unknown: a share of the volume as great as that of their area
+    is at stake in each of them, but no more than is open.
     """
-    rise_mm = UNSEEN_RISE * radius_mm * float(np.mean([view.unseen_share**2 for view in evidence.views]))
-    filled = float(np.sqrt(np.mean([view.undecided_share**2 for view in evidence.views])))
-    return hypot(rise_mm, filled * evidence.volume_mm3 / evidence.area_mm2)
+    is_open = evidence.open_share * (1 - evidence.supported_share)
+    undecided = float(np.sqrt(np.mean([view.undecided_share**2 for view in evidence.views])))
+    filled_mm = min(undecided, is_open) * evidence.volume_mm3 / evidence.area_mm2
+    rise_mm = min(UNSEEN_RISE, CAP_RISE * is_open) * radius_mm
+    return hypot(sqrt(is_open) * rise_mm, filled_mm), hypot(is_open * rise_mm, filled_mm)
 
 
 def _share_like_wall(step_grey: float) -> float:

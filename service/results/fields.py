@@ -116,7 +116,16 @@ class Verified(StrEnum):
 
 
 QualityCause = Literal[
-    "pixels", "focus", "motion", "noise", "unseen", "contrast", "views", "disagreement", "calibration"
+    "pixels",
+    "focus",
+    "motion",
+    "noise",
+    "unseen",
+    "contrast",
+    "views",
+    "disagreement",
+    "calibration",
+    "hidden",
 ]
 """Why a result may be further from the truth than `good` ones."""
 

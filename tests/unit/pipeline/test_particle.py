@@ -201,7 +201,7 @@ def test_views_of_different_stones_are_rejected_as_inconsistent() -> None:
 def test_a_body_that_is_hardly_seen_is_rejected_as_unseen() -> None:
     def half_blind(frame: Frame, background: BackgroundModel) -> Silhouette:
         found = BackgroundSegmenter()(frame, background)
-        return replace(found, outline_uv=found.outline_uv[: len(found.outline_uv) // 10])
+        return replace(found, outline_uv=found.outline_uv[: len(found.outline_uv) // 30])
 
     result = measure_bundle(rendered.sphere_bundle(), RIG, rendered.background(), half_blind, PARAMETERS)
     assert rejected_for(result) is RejectReason.UNSEEN

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from support.extents import examples
 
 from pipeline.uncertainty import Cause, Evidence, ViewEvidence, uncertainty
+from pipeline.uncertainty.model import UNSEEN_RISE
 
 SHARP = ViewEvidence(
     pixel_mm=0.048,
@@ -16,7 +17,6 @@ SHARP = ViewEvidence(
     motion_sigma_px=0.0,
     noise_grey=2.0,
     step_grey=140.0,
-    unseen_share=0.0,
     undecided_share=0.0,
     calibration_px=0.05,
     tangency_px=0.05,
@@ -24,7 +24,7 @@ SHARP = ViewEvidence(
 )
 
 
-def seen(n_views: int = 16, **changed: float | None) -> Evidence:
+def seen(n_views: int = 16, open_share: float = 0.0, **changed: float | None) -> Evidence:
     """Evidence of a 15 mm sphere whose views are all alike."""
     volume_mm3 = pi * 15**3 / 6
     return Evidence(
@@ -34,6 +34,7 @@ def seen(n_views: int = 16, **changed: float | None) -> Evidence:
         hull_mm3=1.007 * volume_mm3,
         is_estimated=True,
         length_sd_percent=0.05,
+        open_share=open_share,
     )
 
 
@@ -44,7 +45,6 @@ VIEWS = st.builds(
     motion_sigma_px=st.floats(0, 12),
     noise_grey=st.floats(0, 60),
     step_grey=st.floats(10, 250),
-    unseen_share=st.floats(0, 1),
     undecided_share=st.floats(0, 1),
     calibration_px=st.floats(0, 3),
     tangency_px=st.none() | st.floats(0, 50),
@@ -58,6 +58,7 @@ EVIDENCE = st.builds(
     hull_mm3=st.floats(10, 2e5),
     is_estimated=st.booleans(),
     length_sd_percent=st.floats(0, 5),
+    open_share=st.floats(0, 1),
     supported_share=st.floats(0, 1),
     relief_mm=st.floats(0, 0.2),
 )
@@ -82,8 +83,8 @@ def test_variances_of_all_causes_add_up(evidence: Evidence) -> None:
         (Cause.CONTRAST, [{"step_grey": grey} for grey in (140.0, 100.0, 60.0)]),
         (Cause.NOISE, [{"noise_grey": grey} for grey in (1.0, 3.0, 7.0, 20.0)]),
         (Cause.NOISE, [{"step_grey": grey} for grey in (200.0, 100.0, 50.0)]),
-        (Cause.UNSEEN, [{"unseen_share": share} for share in (0.0, 0.01, 0.1, 0.5, 1.0)]),
-        (Cause.UNSEEN, [{"undecided_share": share} for share in (0.0, 0.01, 0.1, 0.5)]),
+        (Cause.UNSEEN, [{"open_share": share} for share in (0.0, 0.01, 0.1, 0.5, 1.0)]),
+        (Cause.UNSEEN, [{"open_share": 0.5, "undecided_share": share} for share in (0.0, 0.01, 0.1, 0.5)]),
         (Cause.DISAGREEMENT, [{"tangency_px": px} for px in (0.3, 1.0, 10.0)]),
         (Cause.DISAGREEMENT, [{"residual_px": px} for px in (0.3, 1.0, 10.0)]),
         (Cause.CALIBRATION, [{"calibration_px": px} for px in (0.01, 0.1, 1.0)]),
@@ -131,18 +132,32 @@ def test_a_wrong_scale_moves_the_surface_as_it_does_a_sphere() -> None:
 
 
 def test_pixels_leave_dents_where_they_support_nothing_and_relief_where_they_do() -> None:
-    none, half, most = (uncertainty(replace(seen(), supported_share=share)) for share in (0.0, 0.5, 1.0))
+    shares_and_depths = (0.0, 1.0, 0.2), (0.5, 0.4, 0.1), (0.5, 0.4, 0.0), (1.0, 0.0, 0.2)
+    hidden = [
+        uncertainty(replace(seen(), supported_share=supported, gap_share=gap, depth_mm=depth_mm))
+        for supported, gap, depth_mm in shares_and_depths
+    ]
     for sds in ("surface_mm", "volume_percent"):
-        assert getattr(half, sds)[Cause.HIDDEN] > 0.7 * getattr(none, sds)[Cause.HIDDEN]
-        assert getattr(most, sds)[Cause.HIDDEN] < 0.3 * getattr(none, sds)[Cause.HIDDEN]
-    rough = uncertainty(replace(seen(), supported_share=1.0, relief_mm=0.05))
+        none_shown, half_dented, half_even, all_shown = (getattr(of, sds)[Cause.HIDDEN] for of in hidden)
+        assert none_shown > half_dented > 2 * half_even > 2 * all_shown
+    rough = uncertainty(replace(seen(), supported_share=1.0, gap_share=0.0, relief_mm=0.05))
     assert rough.surface_mm[Cause.HIDDEN] > 0.05
     assert rough.volume_percent[Cause.HIDDEN] < 100 * 0.05 * seen().area_mm2 / seen().volume_mm3
 
 
 def test_an_opening_that_no_view_decides_about_is_volume() -> None:
-    """A tenth of each view's area unknown at an unseen edge: a tenth of the volume."""
-    assert uncertainty(seen(undecided_share=0.1)).volume_percent[Cause.UNSEEN] == pytest.approx(10)
+    """A tenth of each view's area unknown, and a tenth of the surface open: a tenth of the volume, and what rises."""
+    found = uncertainty(seen(open_share=0.1, undecided_share=0.1)).volume_percent[Cause.UNSEEN]
+    assert found == pytest.approx(hypot(10, 100 * 0.1 * 3 * UNSEEN_RISE))
+
+
+def test_what_one_view_leaves_unknown_and_others_see_is_known() -> None:
+    assert uncertainty(seen(undecided_share=0.5)).surface_mm[Cause.UNSEEN] == 0
+
+
+def test_what_pixels_show_is_not_unseen() -> None:
+    shown = replace(seen(open_share=0.3), supported_share=1.0)
+    assert uncertainty(shown).surface_mm[Cause.UNSEEN] == 0
 
 
 def test_outlines_without_any_pair_still_have_an_uncertainty() -> None:

@@ -36,30 +36,34 @@ def main_cause(result: ParticleResult) -> Cause:
 
 
 @pytest.mark.parametrize(
-    ("exposure", "cause"),
+    ("exposure", "cause", "quality"),
     [
-        (ExposureParameters(), Cause.PIXELS),
-        (ExposureParameters(blur_px=3.0), Cause.FOCUS),
-        (ExposureParameters(exposure_us=180.0), Cause.MOTION),
-        (ExposureParameters(read_noise=10.0), Cause.NOISE),
+        (ExposureParameters(), Cause.PIXELS, Quality.GOOD),
+        (
+            ExposureParameters(blur_px=3.0),
+            Cause.FOCUS,
+            Quality.REDUCED,
+        ),  # no texture shows whether it has dents
+        (ExposureParameters(exposure_us=180.0), Cause.MOTION, Quality.GOOD),
+        (ExposureParameters(read_noise=10.0), Cause.NOISE, Quality.REDUCED),
     ],
 )
 def test_a_sphere_names_what_spoils_it_and_is_as_true_as_it_says(
-    exposure: ExposureParameters, cause: Cause
+    exposure: ExposureParameters, cause: Cause, quality: Quality
 ) -> None:
     result, error_mm = measured(rendered.sphere_exposed_as(exposure), sphere())
-    assert result.quality is Quality.GOOD
+    assert result.quality is quality
     assert main_cause(result) is cause
     assert result.measurement is not None
     assert error_mm < 3 * result.measurement.surface_sd_mm
 
 
-def test_a_body_that_looks_like_the_wall_is_never_good() -> None:
+def test_a_body_that_looks_like_the_wall_in_places_is_as_true_as_it_says() -> None:
+    """Its detail tells it from the wall; as far as that fails, it is not good."""
     result, error_mm = measured(rendered.bright_cube_bundle(), cube())
-    assert result.quality is not Quality.GOOD
     if result.rejection is not None:
         assert result.rejection.reason in (RejectReason.UNSEEN, RejectReason.INCONSISTENT)
     else:
         assert result.measurement is not None
-        assert error_mm < 3 * result.measurement.surface_sd_mm
-        assert {Cause.UNSEEN, Cause.DISAGREEMENT} & set(result.quality_causes)
+        assert error_mm < 2 * result.measurement.surface_sd_mm
+        assert (result.quality is Quality.GOOD) == (result.measurement.surface_sd_mm < 0.04)
