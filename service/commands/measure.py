@@ -19,6 +19,7 @@ from rich.table import Table
 
 from drivers.files.recording import open_recording, require_rig_of
 from drivers.files.rig_file import read_rig
+from pipeline.body_measurement import BodyKind
 from pipeline.carving import CarvingField
 from pipeline.gradation.curve import PERCENTS
 from pipeline.gradation.d4791 import DIMENSIONS
@@ -27,7 +28,7 @@ from pipeline.gradation.indices import INDICES
 from pipeline.gradation.sieves import ALL_SIZES
 from pipeline.meshing import Mesher
 from pipeline.paper import PAPER
-from pipeline.particle import BodyKind, PipelineParameters
+from pipeline.particle import PipelineParameters
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation.segmenter_choice import SegmenterKind
 from service.base.errors import UsageError

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from drivers.files.bounded import read_bounded
 from drivers.files.durable import write_file
+from pipeline.body_measurement import MeasuringParameters
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
-from pipeline.particle import MeasuringParameters
 from service.base.errors import VolumeModelError
 from service.base.paths import ConfiguredPath
 

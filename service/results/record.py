@@ -6,9 +6,10 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from pipeline.body_measurement import ParticleMeasurement
 from pipeline.fall import extent_is_plausible, vertical_extent_mm
 from pipeline.frames import CameraId, Trigger
-from pipeline.particle import ParticleMeasurement, ParticleResult
+from pipeline.particle import ParticleResult
 from pipeline.view_optics import ViewOptics
 from service.results.fields import MEASURED_FIELDS, STORED_FIELDS, Hull, Outcome, Result
 from service.results.version import ALGORITHM_VERSION

@@ -26,8 +26,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from pipeline.body_measurement import BodyKind
 from pipeline.gradation.stones import Stone
-from pipeline.particle import BodyKind
 from service.lots.standards import read_standards
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

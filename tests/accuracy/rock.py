@@ -28,14 +28,15 @@ from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.printed import show
-from support.rock_tables import FAR_MM, RIM_PX, Row, SurfaceErrors, failures_table, summary_table, table
+from support.rock_tables import FAR_MM, RIM_PX, Row, SurfaceErrors, failures_table, table
 from support.rocks import CASES, Photographed, calibrated_rig, photographed, scene_before
 
+from pipeline.body_measurement import BodyKind
 from pipeline.evaluation.scene import EvaluationScene, rig_error
 from pipeline.evaluation.silhouette_errors import silhouette_errors, true_edge
 from pipeline.evaluation.surface_distances import Surface, even_samples
 from pipeline.measuring import ShapeMeasurement, measure_shape
-from pipeline.particle import BodyKind, BodyParameters, ParticleResult, PipelineParameters, measure_bundle
+from pipeline.particle import BodyParameters, ParticleResult, PipelineParameters, measure_bundle
 from pipeline.rig.cameras import CameraCalibration
 from pipeline.segmentation import Segmenter, SilhouetteSet, segment_all
 from pipeline.segmentation.silhouette import OUTSIDE, Silhouette
@@ -207,7 +208,7 @@ def main() -> int:
             progress.print(f"{len(rows)} of {len(jobs) * len(rigs)}:", *map(str, done))
     rows.sort(key=lambda row: RIGS.index(row.rig))
     title = f"seeds {arguments.seeds}, segmenter {arguments.segmenter}; median | worst"
-    show(summary_table(rows), table(rows, title), failures_table(rows), as_json=arguments.json, width=260)
+    show(table(rows, title), failures_table(rows), as_json=arguments.json, width=260)
     return 0
 
 

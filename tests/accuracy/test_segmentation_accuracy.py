@@ -32,7 +32,7 @@ SEED = 41_000
 SIZES_MM = (10.0, 20.0, 36.0)
 SINGLE = [case for case in HardCase if case not in (HardCase.CLEAN, HardCase.SEVERAL, HardCase.FRAGMENTS)]
 N_HARD = 2
-MAX_BIAS_PX = {HardCase.BRIGHT_TEXTURE: 0.6}
+MAX_BIAS_PX = {HardCase.BRIGHT_TEXTURE: 0.6, HardCase.BRIGHT: 0.5}  # of what a second look sees
 """Where patches of the body are as bright as the wall little of its edge is seen: such stones are degraded."""
 BEFORE_APERTURES = ("c05", "c07", "c09", "c10", "c12")
 DARK_GREY, APERTURE_REFLECTANCE = 40.0, 0.08

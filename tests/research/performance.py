@@ -20,12 +20,13 @@ import numpy as np
 
 from drivers.files.recording import write_bundle
 from drivers.files.rig_file import write_rig
+from pipeline.body_measurement import BodyKind
 from pipeline.carving import carve
 from pipeline.evaluation.scene import BODY, EvaluationScene, build_scene
 from pipeline.frames import FrameBundle
 from pipeline.measuring.solid import solid_of
 from pipeline.meshing import mesh_hull
-from pipeline.particle import BodyKind, BodyParameters, ParticleResult, PipelineParameters, measure_bundle
+from pipeline.particle import BodyParameters, ParticleResult, PipelineParameters, measure_bundle
 from pipeline.segmentation import segment_all
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.placement import tumble

@@ -17,12 +17,13 @@ import cv2
 import trimesh
 from threadpoolctl import threadpool_limits
 
+from pipeline.body_measurement import BodyKind
 from pipeline.evaluation.scene import EvaluationScene, build_scene
 from pipeline.fall import Fall
 from pipeline.frames import CameraId, FrameBundle
 from pipeline.gradation.stones import OPTIONAL, REQUIRED, Stone, UnmeasuredStone
 from pipeline.measuring import ShapeMeasurement, measure_shape
-from pipeline.particle import BodyKind, BodyParameters, ParticleResult, PipelineParameters, measure_bundle
+from pipeline.particle import BodyParameters, ParticleResult, PipelineParameters, measure_bundle
 from pipeline.segmentation import Segmenter
 from pipeline.segmentation.subtraction import SegmentationParameters
 from pipeline.synthesis.bodies import Body

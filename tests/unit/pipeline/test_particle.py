@@ -8,17 +8,12 @@ import pytest
 from support import rendered
 from support.extents import first_quick
 
+from pipeline.body_measurement import MeasuringParameters
 from pipeline.carving import CarvingParameters
 from pipeline.errors import RejectReason
 from pipeline.frames import CameraId, Frame, FrameBundle
 from pipeline.paper import PAPER, paper_at
-from pipeline.particle import (
-    BodyParameters,
-    MeasuringParameters,
-    ParticleResult,
-    PipelineParameters,
-    measure_bundle,
-)
+from pipeline.particle import BodyParameters, ParticleResult, PipelineParameters, measure_bundle
 from pipeline.segmentation import BackgroundModel, Silhouette
 from pipeline.segmentation.silhouette import KnownDistances, ViewStatus
 from pipeline.segmentation.subtraction import BackgroundSegmenter

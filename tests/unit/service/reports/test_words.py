@@ -12,12 +12,12 @@ from typing import get_args
 import pytest
 from support.lot_figures import NOT_MEASURED, lot_document, measured, report_data
 
+from pipeline.body_measurement import BodyKind
 from pipeline.errors import RejectReason
 from pipeline.gradation.d4791 import DIMENSIONS
 from pipeline.gradation.estimates import State
 from pipeline.gradation.indices import INDICES
 from pipeline.gradation.specification import Verdict
-from pipeline.particle import BodyKind
 from pipeline.views.quality import Quality
 from service.base.language import Language
 from service.lots.lots import LotState

@@ -9,12 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.known_bodies import BODIES, FORMS, SIZES
 
+from pipeline.body_measurement import HullMeasurement, ParticleMeasurement
 from pipeline.errors import RejectedError, RejectReason
 from pipeline.fall import pulse_width_ns
 from pipeline.frames import CameraId, Trigger
 from pipeline.gradation.stones import Stone
 from pipeline.measuring import ShapeMeasurement, measure_shape
-from pipeline.particle import HullMeasurement, ParticleMeasurement, ParticleResult
+from pipeline.particle import ParticleResult
 from pipeline.segmentation import Silhouette, ViewStatus
 from pipeline.uncertainty import Cause, Uncertainty
 from pipeline.views.quality import Quality
