@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.printed import show
-from support.rock_tables import FAR_MM, RIM_PX, Row, SurfaceErrors, failures_table, table
+from support.rock_tables import FAR_MM, RIM_PX, Row, SurfaceErrors, failures_table, summary_table, table
 from support.rocks import CASES, Photographed, calibrated_rig, photographed, scene_before
 
 from pipeline.body_measurement import BodyKind
@@ -208,7 +208,7 @@ def main() -> int:
             progress.print(f"{len(rows)} of {len(jobs) * len(rigs)}:", *map(str, done))
     rows.sort(key=lambda row: RIGS.index(row.rig))
     title = f"seeds {arguments.seeds}, segmenter {arguments.segmenter}; median | worst"
-    show(table(rows, title), failures_table(rows), as_json=arguments.json, width=260)
+    show(summary_table(rows), table(rows, title), failures_table(rows), as_json=arguments.json, width=260)
     return 0
 
 

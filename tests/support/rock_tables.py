@@ -5,7 +5,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from statistics import median
 
+import numpy as np
 from rich.table import Table
+
+from pipeline.arrays import Values
 
 FAR_MM = 0.3
 """What is further off than this is lost: a dent, a bite, a tunnel."""
@@ -93,6 +96,64 @@ def table(rows: Sequence[Row], title: str) -> Table:
             _counted(what for row in own for what in _happened(row)),
         )
     return found
+
+
+PROMISED_MM, PROMISED_PERCENT = 0.04, 1.0
+"""Errors of surface and volume up to which a result may be called good."""
+
+
+def summary_table(rows: Sequence[Row]) -> Table:
+    """Return one line for each rig, for stones and for standards: errors, their ratios to the sigmas stated, words."""
+    found = Table(title="all of a kind")
+    for column in (
+        "rig", "kind", "n", "rejected", "mean mm", "largest mm", "> 0.3 mm, %", "volume %: mean", "volume rms %",
+        "sieve rms %", "error / sigma: surface, rms", "volume error / sigma: rms", "volume within 2 sigma, %",
+        "good / reduced / degraded", "within 0.04 mm and 1 %: good", "good beyond them",
+    ):  # fmt: skip
+        found.add_column(column, justify="left" if column in ("rig", "kind") else "right")
+    for rig in dict.fromkeys(row.rig for row in rows):
+        for kind in ("stones", "standards"):
+            of_kind = [
+                row
+                for row in rows
+                if row.rig == rig
+                and row.name.startswith(("sphere", "cylinder", "cube")) == (kind == "standards")
+            ]
+            own = [row for row in of_kind if row.photo is not None]
+            if not own:
+                continue
+            errors = [row.photo for row in own if row.photo is not None]
+            volume = np.array([row.volume_percent for row in own])
+            sieve = np.array([row.sieve_percent for row in own])
+            rms_mm = np.array([error.rms_mm for error in errors])
+            sigmas = rms_mm / np.array([row.surface_sd_mm for row in own])
+            volume_sigmas = volume / np.array([row.volume_sd_percent for row in own])
+            is_good = np.array([row.word == "good" for row in own])
+            is_within = (rms_mm <= PROMISED_MM) & (np.abs(volume) <= PROMISED_PERCENT)
+            words = Counter(row.word for row in own)
+            found.add_row(
+                rig,
+                kind,
+                str(len(of_kind)),
+                str(len(of_kind) - len(own)),
+                f"{np.mean([error.mean_mm for error in errors]):.3f}",
+                f"{max(error.largest_mm for error in errors):.1f}",
+                f"{np.mean([error.far_percent for error in errors]):.2f}",
+                f"{volume.mean():+.2f}",
+                f"{_rms(volume):.2f}",
+                f"{_rms(sieve):.2f}",
+                f"{_rms(sigmas):.2f}",
+                f"{_rms(volume_sigmas):.2f}",
+                f"{100 * (np.abs(volume_sigmas) < 2).mean():.0f}",
+                " / ".join(str(words[word]) for word in ("good", "reduced", "degraded")),
+                f"{(is_good & is_within).sum()} of {is_within.sum()}",
+                str((is_good & ~is_within).sum()),
+            )
+    return found
+
+
+def _rms(values: Values) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _both(
