@@ -93,7 +93,17 @@ NAMES = {
     "segmenter",
     "stage",
 }
-NAMES |= {"all turns of", "form", "healthy stones", "cameras", "indices", "recalibrated after turns of"}
+NAMES |= {
+    "rig",
+    "kind",
+    "object",
+    "all turns of",
+    "form",
+    "healthy stones",
+    "cameras",
+    "indices",
+    "recalibrated after turns of",
+}
 """Headings of columns that name a row, where they are a table's first ones."""
 
 
@@ -180,9 +190,14 @@ RUNS: Mapping[str, Run] = {
             ("bumps", "accuracy/bumps.py --recalibrate", "sharp", None),
             ("bumps-f2", "accuracy/bumps.py --lens f2 --turns 0.01 0.1 --recalibrate", "f2", None),
             ("gradation", "accuracy/gradation.py --seed 1", "f2", "photo"),
+            ("rock", "accuracy/rock.py", "f2", "photo"),
         )
     },
 }
+
+
+OF_SERVICE = frozenset({"peers", "deaths", "readers", "lots", "pull", "priorities", "start", "cluster"})
+"""Runs that measure carving, or what the service does beside measuring: a new algorithm does not outdate them."""
 
 
 def measure(name: str) -> dict[str, dict[str, Any]]:
