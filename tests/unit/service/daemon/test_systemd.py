@@ -6,6 +6,7 @@ import shlex
 import shutil
 import socket
 import subprocess
+import sys
 import uuid
 from pathlib import Path
 from subprocess import PIPE
@@ -111,7 +112,7 @@ def test_priorities_are_written_only_when_the_journal_reads_stderr():
     )
     for offset, expected in ((0, "<4>x: dust"), (1, "WARNING x: dust")):
         run = subprocess.run(
-            ["python", "-c", program.replace("OFFSET", str(offset))],
+            [sys.executable, "-c", program.replace("OFFSET", str(offset))],
             capture_output=True,
             text=True,
             check=True,
@@ -130,7 +131,7 @@ def test_whoever_does_not_read_the_log_holds_up_nothing():
     )
     environment = os.environ | {"PYTHONPATH": str(UNIT.parents[1])}
     with subprocess.Popen(
-        ["python", "-c", program], stdin=PIPE, stdout=PIPE, stderr=PIPE, text=True, env=environment
+        [sys.executable, "-c", program], stdin=PIPE, stdout=PIPE, stderr=PIPE, text=True, env=environment
     ) as run:
         assert run.stdin is not None and run.stdout is not None and run.stderr is not None
         assert run.stdout.readline() == "written\n"
@@ -148,7 +149,7 @@ def test_the_end_does_not_wait_for_who_reads_no_log():
         "[logging.getLogger('x').warning('line %d', i) for i in range(9_000)]"
     )
     environment = os.environ | {"PYTHONPATH": str(UNIT.parents[1])}
-    with subprocess.Popen(["python", "-c", program], stderr=PIPE, env=environment) as run:
+    with subprocess.Popen([sys.executable, "-c", program], stderr=PIPE, env=environment) as run:
         assert run.wait(PATIENCE_S) == 0
 
 
