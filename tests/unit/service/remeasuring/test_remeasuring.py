@@ -153,43 +153,55 @@ async def test_a_failure_leaves_the_result_and_the_next_stone_is_measured(
 
 
 async def test_closing_ends_what_is_measured(
-    store: Store, session: int, desk: Calibrations, pool: AgainPool, again: Remeasuring, tmp_path: Path
+    store: Store,
+    session: int,
+    desk: Calibrations,
+    pool: AgainPool,
+    again: Remeasuring,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     name = await add_old(store, session, 1, tmp_path, desk.rig_file.calibration_id)
-    run, begun = pool.run, asyncio.Event()
+    begun = asyncio.Event()
 
     async def hang(call: object) -> None:
         begun.set()
         await pool.closing.wait()
         raise asyncio.CancelledError
 
-    pool.run = hang  # type: ignore[method-assign, assignment]
+    monkeypatch.setattr(pool, "run", hang)
     asking = asyncio.create_task(assert_hindered(again, store, name, Hindrance.FAILED))
     await begun.wait()
     again.close()
     await asking
-    pool.run = run  # type: ignore[method-assign]  # of this pool alone
+    monkeypatch.undo()
     await assert_hindered(again, store, name, Hindrance.FAILED)  # and nothing begins any more
     assert pool.jobs == []
 
 
 async def test_a_request_that_is_given_up_leaves_nothing_to_the_next(
-    store: Store, session: int, desk: Calibrations, pool: AgainPool, again: Remeasuring, tmp_path: Path
+    store: Store,
+    session: int,
+    desk: Calibrations,
+    pool: AgainPool,
+    again: Remeasuring,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     name = await add_old(store, session, 1, tmp_path, desk.rig_file.calibration_id)
-    run, begun = pool.run, asyncio.Event()
+    begun = asyncio.Event()
 
     async def hang(call: object) -> None:
         begun.set()
         await asyncio.Event().wait()
 
-    pool.run = hang  # type: ignore[method-assign, assignment]
+    monkeypatch.setattr(pool, "run", hang)
     asking = asyncio.create_task(again.measure(name, "anna"))
     await begun.wait()
     asking.cancel()
     await asyncio.wait([asking])
     assert pool.n_rests == 1
-    pool.run = run  # type: ignore[method-assign]  # of this pool alone
+    monkeypatch.undo()
     assert await again.measure(name, "anna")
 
 
