@@ -1,6 +1,5 @@
 """The word for a stone's uncertainty: good, reduced or degraded, and the causes that keep it from a better one."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import hypot, inf
 
@@ -13,7 +12,7 @@ BEST_FIRST = (Quality.GOOD, Quality.REDUCED, Quality.DEGRADED)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QualityParameters:
-    """Standard deviations up to which a result is good or reduced, without what no silhouette can show."""
+    """Standard deviations up to which a result is good or reduced; which causes count is `verdict`'s."""
 
     good_mm: float = 0.04
     good_volume_percent: float = 1.0
@@ -46,41 +45,34 @@ def verdict(
     the outlines were, dents that these do not show keep a result from being good: in better light they would.
     """
     p = parameters
-    by_mm, by_volume = (
-        {cause: sd for cause, sd in sds.items() if is_by_pixels or cause is not Cause.HIDDEN}
-        for sds in (found.surface_mm, found.volume_percent)
-    )
+    sds = {
+        cause: (found.surface_mm[cause], found.volume_percent[cause])
+        for cause in found.surface_mm
+        if is_by_pixels or cause is not Cause.HIDDEN
+    }
     limits = (
         (Quality.GOOD, p.good_mm, p.good_volume_percent),
         (Quality.REDUCED, p.reduced_mm, p.reduced_volume_percent),
         (Quality.DEGRADED, inf, inf),
     )
 
-    def quality_of(without: tuple[Cause, ...] = ()) -> Quality:
-        mm, percent = (
-            hypot(*(sd for cause, sd in sds.items() if cause not in without)) for sds in (by_mm, by_volume)
-        )
+    def quality_without(*left_out: Cause) -> Quality:
+        kept = [sd for cause, sd in sds.items() if cause not in left_out]
+        mm, percent = hypot(*(sd[0] for sd in kept)), hypot(*(sd[1] for sd in kept))
         return next(
             word for word, most_mm, most_percent in limits if mm <= most_mm and percent <= most_percent
         )
 
-    by_sigma = quality_of()
-    if by_sigma is Quality.DEGRADED and quality_of((Cause.HIDDEN,)) is not Quality.DEGRADED:
+    by_sigma = quality_without()
+    if by_sigma is Quality.DEGRADED and quality_without(Cause.HIDDEN) is not Quality.DEGRADED:
         by_sigma = Quality.REDUCED
     causes = [Cause.VIEWS] if by_number is not Quality.GOOD else []
-    left = sorted(
-        by_volume,
-        key=lambda cause: -max(_sd(by_mm, cause) / p.good_mm, by_volume[cause] / p.good_volume_percent),
+    worst_first = sorted(
+        sds, key=lambda cause: -max(sds[cause][0] / p.good_mm, sds[cause][1] / p.good_volume_percent)
     )
-    while left and (
-        hypot(*(by_mm[cause] for cause in left if cause in by_mm)) > p.good_mm
-        or hypot(*(by_volume[cause] for cause in left)) > p.good_volume_percent
-    ):
-        cause = left.pop(0)
+    for n, cause in enumerate(worst_first):
+        if quality_without(*worst_first[:n]) is Quality.GOOD:
+            break
         if cause not in causes:
             causes.append(cause)
     return QualityVerdict(quality=max(by_sigma, by_number, key=BEST_FIRST.index), causes=tuple(causes))
-
-
-def _sd(sds: Mapping[Cause, float], cause: Cause) -> float:
-    return sds.get(cause, 0.0)
