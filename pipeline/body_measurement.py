@@ -19,7 +19,7 @@ from pipeline.refinement import Refinement
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import Silhouette
 from pipeline.uncertainty import Uncertainty, uncertainty
-from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT, Evidence, ViewEvidence, open_share
+from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT, UNSUPPORTED, Evidence, ViewEvidence, open_share
 from pipeline.views.prepared import PreparedViews
 
 CUT_MM = 0.15
@@ -141,7 +141,7 @@ def measure_body(
         The mesh bounds no volume; or there are so few views that even a sphere's hull is open.
     """
     mesh, estimate, refinement = body.mesh, body.estimate, body.refinement
-    supported_share = 0.0 if refinement is None else refinement.supported_share
+    pixels = UNSUPPORTED if refinement is None else refinement.support
     corners_mm = NO_POINTS if estimate is None else estimate.corners_mm
     if estimate is not None and refinement is not None and refinement.fallback is None:
         near_mm, _ = cKDTree(mesh.vertices_mm).query(corners_mm, distance_upper_bound=CUT_MM)
@@ -162,7 +162,7 @@ def measure_body(
         if refinement is not None and refinement.fallback is None:
             kind = "photo"  # what pixels show is corrected by nothing that other bodies have on average
             hidden = volume_mm3 / estimate.volume_mm3
-            volume_mm3 = shape.volume_mm3 * (supported_share + (1 - supported_share) * hidden)
+            volume_mm3 = shape.volume_mm3 * (pixels.share + (1 - pixels.share) * hidden)
     evidence = Evidence(
         views=seen,
         volume_mm3=volume_mm3,
@@ -170,16 +170,13 @@ def measure_body(
         hull_mm3=hull.volume_mm3,
         is_estimated=kind != "hull",
         open_share=open_share(views, body.hull.vertices_mm),
-        supported_share=supported_share,
-        gap_share=1.0 if refinement is None else refinement.gap_share,
-        depth_mm=0.0 if refinement is None else refinement.depth_mm,
-        relief_mm=0.0 if refinement is None else refinement.relief_mm,
+        pixels=pixels,
         length_sd_percent=LENGTH_SD_PERCENT if rig.length_sd_percent is None else rig.length_sd_percent,
     )
     density = measuring.density_g_cm3
     return ParticleMeasurement(
         body=kind,
-        supported_share=None if refinement is None else supported_share,
+        supported_share=None if refinement is None else pixels.share,
         refinement_fallback=None if refinement is None else refinement.fallback,
         shape=shape,
         hull=hull,

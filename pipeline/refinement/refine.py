@@ -37,6 +37,7 @@ from pipeline.refinement.sightings import PhotoViews, photo_views
 from pipeline.rig.design import nominal_rig
 from pipeline.segmentation.background import BackgroundModel
 from pipeline.segmentation.ball_silhouettes import RADIUS_MM, ball_silhouettes
+from pipeline.uncertainty.evidence import UNSUPPORTED, PixelSupport
 from pipeline.views.prepared import PreparedViews, prepare_views
 
 BETWEEN = 0.02
@@ -51,10 +52,7 @@ class Refinement:
 
     mesh: ParticleMesh  # the estimate's own where nothing was refined
     views: PhotoViews  # as they were read
-    supported_share: float  # of the surface, 0 to 1
-    gap_share: float = 1.0  # of the surface, where neither they nor those around say anything
-    depth_mm: float = 0.0  # rms by which what is supported was shifted from the estimate
-    relief_mm: float = 0.0  # rms by which the last pass still shifted it: finer relief is as deep
+    support: PixelSupport = UNSUPPORTED
     fallback: str | None = None  # why the estimate stays as it is
 
 
@@ -96,26 +94,13 @@ def refine_body(
     field = None
     for level in _levels(vertices_mm, normals, estimate.corners_mm[estimate.is_seen], stone.scale):
         field = _passed(level, field, stone)
-    supported_share = 0.0 if field is None else field.supported_share
-    if field is None or supported_share < MIN_SUPPORTED:
-        return Refinement(
-            mesh=estimate.mesh, views=views, supported_share=0.0, fallback="no texture that the views share"
-        )
+    if field is None or field.support.share < MIN_SUPPORTED:
+        return Refinement(mesh=estimate.mesh, views=views, fallback="no texture that the views share")
     shifts_mm = vertex_shifts(field, vertices_mm, normals, hull.vertices_mm - vertices_mm)
     moved_mm = without_crossings(vertices_mm + shifts_mm, faces, (vertices_mm, hull.vertices_mm))
     if moved_mm is None:
-        return Refinement(
-            mesh=estimate.mesh, views=views, supported_share=0.0, fallback="the surface would cross itself"
-        )
-    mesh = ParticleMesh(moved_mm, faces)
-    return Refinement(
-        mesh=mesh,
-        views=views,
-        supported_share=supported_share,
-        gap_share=field.gap_share,
-        depth_mm=field.depth_mm,
-        relief_mm=field.found_mm,
-    )
+        return Refinement(mesh=estimate.mesh, views=views, fallback="the surface would cross itself")
+    return Refinement(mesh=ParticleMesh(moved_mm, faces), views=views, support=field.support)
 
 
 def _levels(vertices_mm: PointsMM, normals: Floats, touches_mm: PointsMM, scale: float) -> list[Level]:
@@ -174,10 +159,12 @@ def _field(nodes: Nodes, found: Found, shifts_mm: Values, sure: Values, is_suppo
         weights=sure,
         sure=sure,
         peaked=np.where(found.is_peak, sure, 0.0),
-        supported_share=_share(is_supported, nodes),
-        gap_share=_share(~widened(is_supported, nodes), nodes),
-        depth_mm=_rms_mm(shifts_mm[is_supported]),
-        found_mm=_rms_mm(found.steps_mm[is_supported]),
+        support=PixelSupport(
+            share=_share(is_supported, nodes),
+            blank_share=_share(~widened(is_supported, nodes), nodes),
+            depth_mm=_rms_mm(shifts_mm[is_supported]),
+            relief_mm=_rms_mm(found.steps_mm[is_supported]),  # of the last pass: finer relief is as deep
+        ),
     )
 
 

@@ -1,6 +1,6 @@
 """Where patches of the surface look most alike: at all nodes of a level, then again where they still look unlike."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -84,11 +84,10 @@ class Found:
         better = other.scores > self.scores[chosen]
         is_better = np.zeros(len(chosen), np.bool_)
         is_better[np.flatnonzero(chosen)[better]] = True
-        merged = {}
-        for name in ("before_mm", "steps_mm", "sure", "is_peak", "scores"):
-            merged[name] = getattr(self, name).copy()
-            merged[name][is_better] = getattr(other, name)[better]
-        return Found(**merged), is_better
+        merged = replace(self, **{field.name: getattr(self, field.name).copy() for field in fields(self)})
+        for field in fields(self):
+            getattr(merged, field.name)[is_better] = getattr(other, field.name)[better]
+        return merged, is_better
 
 
 def search(level: Level, before_mm: Values, stone: Photographed, normals: Directions | None = None) -> Found:

@@ -6,6 +6,7 @@ import numpy as np
 
 from pipeline.arrays import Directions, Floats, PointsMM, Values
 from pipeline.refinement.nodes import Nodes, interpolated, smoothed
+from pipeline.uncertainty import PixelSupport
 
 SPREAD = 0.6
 """Standard deviation of the interpolation between nodes, in their spacing."""
@@ -30,10 +31,7 @@ class Field:
     weights: Values  # (K,) of the pixels and of the silhouettes
     sure: Values  # (K,) of the pixels
     peaked: Values  # (K,) of the pixels where patches deeper and shallower are less alike
-    supported_share: float  # of the nodes but those at sharp edges, which silhouettes see
-    gap_share: float  # of the others, that have no such neighbour either
-    depth_mm: float  # rms of the shifts of supported nodes
-    found_mm: float  # rms of what this pass added to them
+    support: PixelSupport  # of the nodes but those at sharp edges, which silhouettes see
 
 
 def carried_over(field: Field, nodes: Nodes) -> tuple[Values, Values]:

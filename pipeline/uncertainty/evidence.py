@@ -47,6 +47,20 @@ class ViewEvidence:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PixelSupport:
+    """What the pixels inside the outlines say of how deep the surface lies, beside what the outlines say."""
+
+    share: float = 0.0  # of the surface, where they say it
+    blank_share: float = 1.0  # of the surface, where neither they nor those around do
+    depth_mm: float = 0.0  # rms by which they shift what they support from where the outlines have it
+    relief_mm: float = 0.0  # rms of the finest relief that they show there
+
+
+UNSUPPORTED = PixelSupport()
+"""Support of a surface of which pixels say nothing, or were not asked."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
     """Quality of the views used of one stone, and of the hull that they leave."""
 
@@ -57,10 +71,7 @@ class Evidence:
     is_estimated: bool  # False: the body is the hull
     length_sd_percent: float
     open_share: float = 0.0  # of the hull's surface, that no outline bounds which was seen
-    supported_share: float = 0.0  # of the surface, where the pixels inside the outlines show how deep it lies
-    gap_share: float = 1.0  # of the surface, where they do not, nor beside it
-    depth_mm: float = 0.0  # rms by which they shift it from what the outlines say
-    relief_mm: float = 0.0  # rms of the finest relief that they show there
+    pixels: PixelSupport = UNSUPPORTED
 
 
 def view_evidence(

@@ -84,14 +84,10 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
     volume_mm3, area_mm2 = evidence.volume_mm3, evidence.area_mm2
     radius_mm = 3 * volume_mm3 / area_mm2  # of a sphere with this ratio
     scale_mm = evidence.length_sd_percent / 100 * radius_mm
-    hidden_share = 1 - evidence.supported_share
-    dents_mm = _dents_mm(evidence)
-    dented_mm, dents_mean_mm = (
-        sqrt(evidence.gap_share) * dents_mm,
-        evidence.gap_share * dents_mm / DENT_FACTOR,
-    )
+    pixels, dents_mm = evidence.pixels, _dents_mm(evidence)
+    hidden_share = 1 - pixels.share
     unseen_mm, unseen_mean_mm = _unseen_mm(evidence, radius_mm)
-    refined_mm = sqrt(evidence.supported_share) * hypot(REFINED_MM, MISSED_RELIEF * evidence.relief_mm)
+    refined_mm = sqrt(pixels.share) * hypot(REFINED_MM, MISSED_RELIEF * pixels.relief_mm)
     surface_mm = {
         Cause.PIXELS: _rms_mm(evidence, lambda view: SHARE_OF_SIGMA * SHARP_SIGMA_PX),
         Cause.FOCUS: _rms_mm(evidence, lambda view: SHARE_OF_SIGMA * _defocus_px(view)),
@@ -110,7 +106,7 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
         * hidden_share,
         Cause.DISAGREEMENT: _disagreement_mm(evidence),
         Cause.CALIBRATION: hypot(scale_mm, _rms_mm(evidence, lambda view: view.calibration_px)),
-        Cause.HIDDEN: hypot(dented_mm, refined_mm),
+        Cause.HIDDEN: hypot(sqrt(pixels.blank_share) * dents_mm, refined_mm),
     }
     percent_per_mm = 100 * area_mm2 / volume_mm3
     volume_percent = {
@@ -118,15 +114,17 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
         for cause, sd_mm in surface_mm.items()
     }
     volume_percent[Cause.UNSEEN] = percent_per_mm * unseen_mean_mm
-    volume_percent[Cause.HIDDEN] = percent_per_mm * hypot(dents_mean_mm, REFINED_COMMON_SHARE * refined_mm)
+    volume_percent[Cause.HIDDEN] = percent_per_mm * hypot(
+        pixels.blank_share * dents_mm / DENT_FACTOR, REFINED_COMMON_SHARE * refined_mm
+    )
     return Uncertainty(surface_mm=surface_mm, volume_percent=volume_percent)
 
 
 def _dents_mm(evidence: Evidence) -> float:
     """Return the rms depth of dents where pixels show none: as where they do, as far as these show enough."""
     usual_mm = DENT_FACTOR * HIDDEN_PERCENT / 100 * evidence.volume_mm3 / evidence.area_mm2
-    known = evidence.supported_share / (evidence.supported_share + DENTS_SHARE)
-    return sqrt(known * evidence.depth_mm**2 + (1 - known) * usual_mm**2)
+    known = evidence.pixels.share / (evidence.pixels.share + DENTS_SHARE)
+    return sqrt(known * evidence.pixels.depth_mm**2 + (1 - known) * usual_mm**2)
 
 
 def _rms_mm(evidence: Evidence, of_view_px: Callable[[ViewEvidence], float]) -> float:
@@ -158,7 +156,7 @@ def _unseen_mm(evidence: Evidence, radius_mm: float) -> tuple[float, float]:
     opening is filled where the views through it leave it unknown: a share of the volume as great as that of their area
     is at stake in each of them, but no more than is open.
     """
-    is_open = evidence.open_share * (1 - evidence.supported_share)
+    is_open = evidence.open_share * (1 - evidence.pixels.share)
     undecided = float(np.sqrt(np.mean([view.undecided_share**2 for view in evidence.views])))
     filled_mm = min(undecided, is_open) * evidence.volume_mm3 / evidence.area_mm2
     rise_mm = min(UNSEEN_RISE, CAP_RISE * is_open) * radius_mm

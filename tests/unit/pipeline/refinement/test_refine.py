@@ -90,7 +90,7 @@ def test_dents_are_found():
     assert after.back_mean_mm < 0.02
     assert dented.volume_percent(dented.estimate.mesh) > 1.5
     assert abs(dented.volume_percent(dented.refinement.mesh)) < 0.5
-    assert dented.refinement.supported_share > 0.9
+    assert dented.refinement.support.share > 0.9
 
 
 def test_the_estimates_edges_do_not_stand_out_of_a_rough_body():
@@ -109,7 +109,7 @@ def test_what_shows_no_texture_stays_as_estimated(name: str):
     assert plain.volume_percent(plain.refinement.mesh) == pytest.approx(
         plain.volume_percent(plain.estimate.mesh), abs=0.05
     )
-    assert plain.refinement.supported_share < 0.05
+    assert plain.refinement.support.share < 0.05
 
 
 def test_sharp_edges_stay_sharp():
@@ -146,7 +146,7 @@ def test_the_record_says_how_much_of_the_surface_the_pixels_show():
     measurement = case("dented").result.measurement
     assert measurement is not None
     assert measurement.body == "photo"
-    assert measurement.supported_share == case("dented").refinement.supported_share
+    assert measurement.supported_share == case("dented").refinement.support.share
     assert abs(100 * (measurement.volume_mm3 / case("dented").truth.volume - 1)) < 0.5
     assert measurement.volume_sd_percent < 1.5
     plain = case("plain sphere").result.measurement

@@ -5,6 +5,7 @@ from unit.pipeline.refinement.test_nodes import ball, nodes_of
 
 from pipeline.arrays import PointsMM, Values
 from pipeline.refinement.shift_field import OUTWARD_MM, Field, vertex_shifts
+from pipeline.uncertainty import PixelSupport
 
 BALL = ball()
 NODES = nodes_of(BALL)
@@ -19,10 +20,7 @@ def shifts(inward_mm: Values, room_mm: PointsMM) -> PointsMM:
         weights=EVERYWHERE,
         sure=EVERYWHERE,
         peaked=EVERYWHERE,
-        supported_share=1.0,
-        gap_share=0.0,
-        depth_mm=0.0,
-        found_mm=0.0,
+        support=PixelSupport(share=1.0, blank_share=0.0),
     )
     return vertex_shifts(field, np.asarray(BALL.vertices), NORMALS, room_mm)
 

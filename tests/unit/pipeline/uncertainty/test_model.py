@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.extents import examples
 
-from pipeline.uncertainty import Cause, Evidence, ViewEvidence, uncertainty
+from pipeline.uncertainty import Cause, Evidence, PixelSupport, ViewEvidence, uncertainty
 from pipeline.uncertainty.model import UNSEEN_RISE
 
 SHARP = ViewEvidence(
@@ -59,8 +59,13 @@ EVIDENCE = st.builds(
     is_estimated=st.booleans(),
     length_sd_percent=st.floats(0, 5),
     open_share=st.floats(0, 1),
-    supported_share=st.floats(0, 1),
-    relief_mm=st.floats(0, 0.2),
+    pixels=st.builds(
+        PixelSupport,
+        share=st.floats(0, 1),
+        blank_share=st.floats(0, 1),
+        depth_mm=st.floats(0, 2),
+        relief_mm=st.floats(0, 0.2),
+    ),
 )
 
 
@@ -134,13 +139,13 @@ def test_a_wrong_scale_moves_the_surface_as_it_does_a_sphere() -> None:
 def test_pixels_leave_dents_where_they_support_nothing_and_relief_where_they_do() -> None:
     shares_and_depths = (0.0, 1.0, 0.2), (0.5, 0.4, 0.1), (0.5, 0.4, 0.0), (1.0, 0.0, 0.2)
     hidden = [
-        uncertainty(replace(seen(), supported_share=supported, gap_share=gap, depth_mm=depth_mm))
-        for supported, gap, depth_mm in shares_and_depths
+        uncertainty(replace(seen(), pixels=PixelSupport(share=share, blank_share=blank, depth_mm=depth_mm)))
+        for share, blank, depth_mm in shares_and_depths
     ]
     for sds in ("surface_mm", "volume_percent"):
         none_shown, half_dented, half_even, all_shown = (getattr(of, sds)[Cause.HIDDEN] for of in hidden)
         assert none_shown > half_dented > 2 * half_even > 2 * all_shown
-    rough = uncertainty(replace(seen(), supported_share=1.0, gap_share=0.0, relief_mm=0.05))
+    rough = uncertainty(replace(seen(), pixels=PixelSupport(share=1.0, blank_share=0.0, relief_mm=0.05)))
     assert rough.surface_mm[Cause.HIDDEN] > 0.05
     assert rough.volume_percent[Cause.HIDDEN] < 100 * 0.05 * seen().area_mm2 / seen().volume_mm3
 
@@ -156,7 +161,7 @@ def test_what_one_view_leaves_unknown_and_others_see_is_known() -> None:
 
 
 def test_what_pixels_show_is_not_unseen() -> None:
-    shown = replace(seen(open_share=0.3), supported_share=1.0)
+    shown = replace(seen(open_share=0.3), pixels=PixelSupport(share=1.0))
     assert uncertainty(shown).surface_mm[Cause.UNSEEN] == 0
 
 
