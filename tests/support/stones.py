@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.arrays import Values
-from pipeline.gradation.stones import MEASURES, Lot, Stone, lot_of
+from pipeline.gradation.stones import MEASURES, OPTIONAL, REQUIRED, UNKNOWN, Lot, Stone, lot_of
 
 
 def round_stone(size_mm: float, volume_mm3: float | None = None, **others: float) -> Stone:
@@ -43,10 +43,17 @@ def lot_of_sizes(
     n = len(sizes_mm)
     seen_mm = sizes_mm + size_sds_mm * rng.standard_normal(n)
     volumes = np.pi / 6 * sizes_mm**3 * (1 + volume_sd * rng.standard_normal(n))
-    columns = dict.fromkeys(MEASURES, seen_mm) | {
-        "volume_mm3": volumes,
-        "volume_sd": np.full(n, volume_sd),
-        "sieve_size_sd_mm": np.broadcast_to(size_sds_mm, n),
-        "feret_sd_mm": np.broadcast_to(size_sds_mm, n),
-    }
-    return Lot(measures=np.array([columns[name] for name in MEASURES], float))
+    return lot_with(
+        seen_mm,
+        volume_mm3=volumes,
+        volume_sd=volume_sd,
+        sieve_size_sd_mm=size_sds_mm,
+        feret_sd_mm=size_sds_mm,
+    )
+
+
+def lot_with(sizes_mm: Values, **measures: Values | float) -> Lot:
+    """Return stones with these measures; other required ones are their size, other optional ones unknown."""
+    columns = {**dict.fromkeys(REQUIRED, sizes_mm), **dict.fromkeys(OPTIONAL, UNKNOWN), **measures}
+    rows = [np.broadcast_to(columns.get(name, 0.0), len(sizes_mm)) for name in MEASURES]
+    return Lot(measures=np.array(rows, float))

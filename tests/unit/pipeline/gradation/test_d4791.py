@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.extents import examples
-from support.stones import box, round_stone
+from support.stones import box, lot_with, round_stone
 
 from pipeline.gradation.d4791 import DIMENSIONS, FlatAndElongated, FlatAndElongatedFraction
 from pipeline.gradation.estimates import Estimate, State
@@ -16,7 +16,7 @@ from pipeline.gradation.estimators import Basis
 from pipeline.gradation.evaluation import evaluate
 from pipeline.gradation.indices import ShapeIndices
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
-from pipeline.gradation.stones import MEASURES, Lot, Stone, lot_of, merge
+from pipeline.gradation.stones import Lot, Stone, lot_of, merge
 
 BOTH = "flat_and_elongated_percent"
 SIEVES = (4.75, 9.5, 12.5, 19.0, 25.0)
@@ -173,14 +173,14 @@ def fallen(n: int, rng: np.random.Generator) -> Lot:
     """Return stones of which the larger ones are long more often, measured with errors."""
     sizes_mm = np.exp(rng.normal(np.log(12.5), 0.25, n))
     is_long = rng.random(n) < np.clip(0.05 + 0.03 * (sizes_mm - 8), 0.02, 0.6)
-    columns = dict.fromkeys(MEASURES, sizes_mm) | {
-        "volume_mm3": sizes_mm**3 * rng.uniform(0.35, 0.65, n),
-        "length_mm": np.where(is_long, 4.0, 2.0) * sizes_mm,
-        "volume_sd": np.full(n, 0.01),
-        "sieve_size_sd_mm": np.full(n, 0.03),
-        "feret_sd_mm": np.full(n, 0.02),
-    }
-    return Lot(measures=np.array([columns[name] for name in MEASURES], float))
+    return lot_with(
+        sizes_mm,
+        volume_mm3=sizes_mm**3 * rng.uniform(0.35, 0.65, n),
+        length_mm=np.where(is_long, 4.0, 2.0) * sizes_mm,
+        volume_sd=0.01,
+        sieve_size_sd_mm=0.03,
+        feret_sd_mm=0.02,
+    )
 
 
 @pytest.mark.full

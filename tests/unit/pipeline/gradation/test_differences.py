@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import ttest_ind
 from support.extents import first_quick
+from support.stones import lot_with
 
 from pipeline.arrays import Values
 from pipeline.gradation.differences import (
@@ -24,7 +25,7 @@ from pipeline.gradation.influences import (
     size_influences,
 )
 from pipeline.gradation.sieves import OF_THE_RIG
-from pipeline.gradation.stones import MEASURES, Lot
+from pipeline.gradation.stones import Lot
 
 LONG_SHARE = 0.18
 
@@ -39,17 +40,17 @@ def falling(
         level = lfilter([np.sqrt(1 - memory**2)], [1, -memory], rng.normal(size=n))
     sizes_mm = np.exp(rng.normal(np.log(11), 0.25, n) + 0.03 * level)
     is_long = rng.random(n) < np.clip(long_share + 0.03 * level, 0, 1)
-    measures = {
-        "sieve_size_mm": sizes_mm,
-        "max_feret_mm": sizes_mm * np.where(is_long, rng.uniform(1.9, 2.3, n), rng.uniform(1.2, 1.5, n)),
-        "min_feret_mm": sizes_mm * np.where(is_long, rng.uniform(0.5, 0.6, n), rng.uniform(0.6, 0.9, n)),
-        "volume_mm3": 0.5 * sizes_mm**3 * np.exp(rng.normal(0, 0.2, n)),
-        "sieve_size_sd_mm": np.full(n, 0.03),
-        "feret_sd_mm": np.full(n, 0.03),
-        "volume_sd": np.full(n, 0.01),
-    }
+    lot = lot_with(
+        sizes_mm,
+        max_feret_mm=sizes_mm * np.where(is_long, rng.uniform(1.9, 2.3, n), rng.uniform(1.2, 1.5, n)),
+        min_feret_mm=sizes_mm * np.where(is_long, rng.uniform(0.5, 0.6, n), rng.uniform(0.6, 0.9, n)),
+        volume_mm3=0.5 * sizes_mm**3 * np.exp(rng.normal(0, 0.2, n)),
+        sieve_size_sd_mm=0.03,
+        feret_sd_mm=0.03,
+        volume_sd=0.01,
+    )
     times_s = np.cumsum(rng.exponential(0.25, n) * np.exp(0.2 * level))
-    return Lot(measures=np.array([measures.get(name, sizes_mm) for name in MEASURES])), times_s
+    return lot, times_s
 
 
 def figures(stones: tuple[Lot, Values]) -> dict[str, Influences]:
