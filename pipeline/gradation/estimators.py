@@ -11,6 +11,7 @@ from math import hypot, sqrt
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from pipeline.arrays import Values
@@ -54,11 +55,15 @@ class Sample:
         for lot in (self.lot, self.larger, self.smaller):
             sizes_mm, reach_mm = lot.column("sieve_size_mm"), FAR_SDS * lot.column("sieve_size_sd_mm")
             is_near |= (sizes_mm + reach_mm > low_mm) & (sizes_mm - reach_mm <= high_mm)
+        return self.where(is_near)
+
+    def where(self, is_wanted: NDArray[np.bool_]) -> "Sample":
+        """Return the sample of some of the stones."""
         return Sample(
-            lot=self.lot.where(is_near),
-            as_measured=self.as_measured.where(is_near),
-            larger=self.larger.where(is_near),
-            smaller=self.smaller.where(is_near),
+            lot=self.lot.where(is_wanted),
+            as_measured=self.as_measured.where(is_wanted),
+            larger=self.larger.where(is_wanted),
+            smaller=self.smaller.where(is_wanted),
         )
 
 
@@ -179,10 +184,11 @@ def _interval(
 
 
 def ratio_of_sums(sample: Sample, terms: Callable[[Lot], tuple[Values, Values]]) -> Estimate:
-    """Return sum A / sum B over the stones, as `terms` gives A and B of each.
+    """Return sum A / sum B over the stones, as `terms` gives A and B of each; NaN leaves a stone out.
 
     Random errors of measuring scatter the terms too, so the scatter found already contains them.
     """
+    sample = sample.where(~np.isnan(np.add(*terms(sample.lot))))
     lot = sample.lot
     above, below = terms(lot)
     total = float(below.sum())

@@ -3,14 +3,17 @@
 from contextlib import nullcontext
 from math import nan
 
+import numpy as np
 import pytest
-from support.stones import box, round_stone
+from support.stones import box, lot_with, round_stone
 
+from pipeline.arrays import Values
 from pipeline.gradation.estimates import State
+from pipeline.gradation.estimators import ratio_of_sums, sample_of
 from pipeline.gradation.evaluation import evaluate
 from pipeline.gradation.indices import ShapeIndices
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
-from pipeline.gradation.stones import MEASURES, OPTIONAL, Stone, lot_of
+from pipeline.gradation.stones import MEASURES, OPTIONAL, UNKNOWN, Lot, Stone, lot_of
 
 F1 = [
     box((9.0, 19.0, 40.0), 19.0),
@@ -55,6 +58,21 @@ def test_a_stone_near_the_slot_is_flaky_with_a_probability() -> None:
 def test_too_few_particles_are_insufficient() -> None:
     assert indices([round_stone(10.0)] * 99).needle_flaky_percent.state is State.INSUFFICIENT
     assert indices([round_stone(10.0)] * 100).needle_flaky_percent.state is State.MEASURED
+
+
+def test_a_ratio_is_of_the_stones_that_have_the_measure() -> None:
+    def width(lot: Lot) -> tuple[Values, Values]:
+        return lot.column("width_mm"), np.ones(lot.n_measured)
+
+    sizes_mm = np.array([30.0] * 40 + [10.0, 20.0] * 30)
+    lot = lot_with(sizes_mm, width_mm=np.where(sizes_mm == 30, UNKNOWN, sizes_mm))
+    found = ratio_of_sums(sample_of(lot, scale_sd=0.001), width)
+    assert found.value == pytest.approx(15), "its mean"
+    assert (found.sampling_se, found.systematic_se) == pytest.approx((5 / 60**0.5, 0.015))
+    assert (found.n_stones, found.n_effective, found.state) == (60, pytest.approx(60), State.MEASURED)
+    assert found == ratio_of_sums(sample_of(lot.where(sizes_mm != 30), scale_sd=0.001), width)
+    assert evaluate(lot, ()).indices.d43_mm.n_stones == 100, "other figures are of all stones"
+    assert ratio_of_sums(sample_of(lot.where(sizes_mm == 30)), width).state is State.NOT_MEASURED
 
 
 @pytest.mark.parametrize("name", MEASURES)
