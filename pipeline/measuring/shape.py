@@ -24,6 +24,7 @@ from pipeline.measuring.boxes import smallest_around_mm
 from pipeline.measuring.calipers import extents_across, least_width_within_mm, max_feret, min_feret_mm
 from pipeline.measuring.convex import convex_body
 from pipeline.measuring.solid import solid_of
+from pipeline.schema import SCHEMA
 
 ZINGG_LIMIT = 2 / 3
 """Limit of both ratios in Zingg's diagram; a ratio equal to it counts as below."""
@@ -46,51 +47,51 @@ class ZinggClass(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShapeMeasurement:
-    """Sizes and form factors of one closed mesh; field names are those of the result record.
+    """Sizes and form factors of one closed mesh; each is a field of the result, by this name and description."""
 
-    V and A are volume and area of the mesh, a >= b >= c the edges of the box of least volume, `min_box_mm`.
-    """
+    __pydantic_config__ = SCHEMA
 
     volume_mm3: float
-    """Volume inside the mesh, mm^3; exact for the polyhedron."""
+    """Volume inside the mesh, mm³; exact for the polyhedron"""
     surface_area_mm2: float
-    """Area of the mesh, mm^2; exact for the polyhedron."""
+    """Surface area of the mesh, mm²; exact for the polyhedron"""
     center_mm: tuple[float, float, float]
-    """Centre of mass at uniform density, mm, in the frame of the mesh."""
+    """Centre of mass at uniform density, mm, in the frame of the mesh"""
     length_mm: float
-    """Length, mm: the greatest dimension (ASTM D4791), equal to `max_feret_mm`."""
+    """Greatest dimension (ASTM D4791 length), mm; equal to `max_feret_mm`"""
     width_mm: float
-    """Width, mm: the greatest dimension perpendicular to the length (ASTM D4791)."""
+    """Greatest dimension at right angles to the length (ASTM D4791 width), mm"""
     thickness_mm: float
-    """Thickness, mm: the dimension perpendicular to length and width (ASTM D4791)."""
+    """Dimension at right angles to both (ASTM D4791 thickness), mm"""
     max_feret_mm: float
-    """Maximum Feret diameter, mm: the greatest distance between two parallel tangent planes (L of EN 933-4, JTG
-    3432)."""
+    """Greatest distance of two parallel tangent planes (length L of EN 933-4 and JTG 3432), mm"""
     min_feret_mm: float
-    """Minimum Feret diameter, mm: the least distance between two parallel tangent planes (E of EN 933-4); of a bar
-    sieve, the narrowest slot that the stone passes (EN 933-3)."""
+    """Least distance of two parallel tangent planes (EN 933-4 thickness E), mm; of a bar sieve, the narrowest slot that
+    the stone passes (EN 933-3)"""
     min_box_mm: tuple[float, float, float]
-    """Edges of the box of least volume around the stone, mm, a >= b >= c: long, intermediate and short axis."""
+    """Edges a >= b >= c of the box of least volume, mm"""
     sieve_size_mm: float
-    """Sieve size, mm: the smallest square aperture that the stone passes by translation, in its best orientation
-    (sieves of EN 933-2, ISO 3310-2)."""
+    """Smallest square aperture that the body passes by translation, in its best orientation (square holes of EN 933-2,
+    ISO 3310-2), mm"""
     equivalent_diameter_mm: float
-    """Diameter of the sphere of equal volume, mm: (6 V / pi)^(1/3); in a result of the corrected volume."""
+    """Diameter of the sphere of equal volume V: (6 V / pi)^(1/3), mm; in a result of the corrected volume"""
     sphericity: float
-    """True sphericity (Wadell 1935), 0..1: surface of the sphere of equal volume over the stone's,
-    pi^(1/3) (6 V)^(2/3) / A."""
+    """Wadell's sphericity: area of the sphere of equal volume by surface area A of the mesh, pi^(1/3) (6 V)^(2/3) / A,
+    0..1; 1: a sphere"""
     convexity: float
-    """Volume over the volume of the convex hull, 0..1; from silhouettes an upper bound, they show no dents."""
+    """Volume of the mesh by volume of its convex hull, 0..1; an upper bound where silhouettes alone made the mesh, as
+    they show no dents"""
     elongation_ratio: float
-    """Elongation b / a, 0..1 (Zingg 1935)."""
+    """Zingg's elongation ratio b / a, of the edges a >= b >= c in `min_box_mm`, 0..1; 1: as wide as long"""
     flatness_ratio: float
-    """Flatness c / b, 0..1 (Zingg 1935)."""
+    """Zingg's flatness ratio c / b, of the edges in `min_box_mm`, 0..1; 1: as thick as wide"""
     zingg_class: ZinggClass
-    """Class of form (Zingg 1935): both ratios above 2/3 equant, b/a alone disc, c/b alone rod, neither blade."""
+    """Zingg's form: `equant` with b / a and c / b above 2/3, `disc` with b / a alone, `rod` with c / b alone, `blade`
+    with neither"""
     krumbein: float
-    """Intercept sphericity (Krumbein 1941), 0..1: (b c / a^2)^(1/3)."""
+    """Krumbein's intercept sphericity (b c / a²)^(1/3), of the edges in `min_box_mm`, 0..1"""
     corey: float
-    """Shape factor (Corey 1949), 0..1: c / (a b)^(1/2)."""
+    """Corey's shape factor c / sqrt(a b), of the edges in `min_box_mm`, 0..1"""
 
 
 def measure_shape(

@@ -2,16 +2,17 @@
 
 The records in `results.jsonl` and in the store, the schema of the REST interface, the tables of the commands and the
 list in `service/web/README.md` follow from `Result`. A measured field has the name of the attribute of
-`pipeline.particle.ParticleMeasurement` or `pipeline.measuring.ShapeMeasurement` that it is read from, where its
-definition and standard are.
+`pipeline.particle.ParticleMeasurement` or `pipeline.measuring.ShapeMeasurement` that it is read from. A field
+that has no description here has that of `ShapeMeasurement`.
 """
 
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
+from pipeline.measuring.shape import ShapeMeasurement
 from pipeline.view_optics import ViewOptics
 from service.base.schema import Time, always_present
 
@@ -31,11 +32,19 @@ Lean = Annotated[T, LEAN]
 ALWAYS = ("seq", "id", "revision", "kind", "outcome", "is_simulated", "is_replay")
 """Fields that are in every answer, whichever are chosen: what is not production must never be billed as such."""
 
+SHAPE_SCHEMA = TypeAdapter(ShapeMeasurement).json_schema()["properties"]
+"""The measures of the shape by name, as JSON schemas with their descriptions."""
+
 
 def chosen_present(schema: dict[str, Any]) -> None:
-    """Mark as required what is in every choice of fields; without `fields` all are there, defaults included."""
+    """Mark as required what is in every choice of fields; without `fields` all are there, defaults included.
+
+    Measures of the shape are described in `ShapeMeasurement`, unless a field here says more.
+    """
     always_present(schema)
     schema["required"] = list(ALWAYS)
+    for name, measure in SHAPE_SCHEMA.items():
+        schema["properties"][name].setdefault("description", measure["description"])
 
 
 class Outcome(StrEnum):
@@ -205,42 +214,24 @@ class Result(BaseModel):
     """Id of the coefficients that `volume_mm3` is corrected with; `sphere`: as a sphere's hull; `none`: it is
     not"""
     surface_area_mm2: Number = None
-    """Surface area of the mesh, mm²"""
     length_mm: Lean[Indexed[Number]] = None
-    """Greatest dimension (ASTM D4791 length), mm"""
     width_mm: Lean[Indexed[Number]] = None
-    """Greatest dimension at right angles to the length (ASTM D4791 width), mm"""
     thickness_mm: Lean[Indexed[Number]] = None
-    """Dimension at right angles to both (ASTM D4791 thickness), mm"""
     max_feret_mm: Lean[Indexed[Number]] = None
-    """Greatest distance of two parallel tangent planes (EN 933-4 length L), mm"""
     min_feret_mm: Lean[Indexed[Number]] = None
-    """Least distance of two parallel tangent planes (EN 933-4 thickness E), mm"""
     min_box_mm: Numbers = None
-    """Edges a >= b >= c of the box of least volume, mm"""
     sieve_size_mm: Lean[Indexed[Number]] = None
-    """Smallest square aperture the body passes in its best orientation (square holes of EN 933-2), mm"""
     equivalent_diameter_mm: Lean[Number] = None
     """Diameter of the sphere of `volume_mm3`: (6 V / pi)^(1/3), mm"""
     equivalent_diameter_raw_mm: Number = None
     """Diameter of the sphere of `volume_raw_mm3`, mm"""
     sphericity: Number = None
-    """Wadell's sphericity: area of the sphere of equal volume by surface area A of the mesh, pi^(1/3) (6
-    V)^(2/3) / A, 0..1; 1: a sphere"""
     convexity: Number = None
-    """Volume of the mesh by volume of its convex hull, 0..1; an upper bound unless `body` is `photo`, as
-    silhouettes show no dents"""
     elongation_ratio: Number = None
-    """Zingg's elongation ratio b / a, of the edges a >= b >= c in `min_box_mm`, 0..1; 1: as wide as long"""
     flatness_ratio: Number = None
-    """Zingg's flatness ratio c / b, of the edges in `min_box_mm`, 0..1; 1: as thick as wide"""
     zingg_class: Indexed[Text] = None
-    """Zingg's form: `equant` with b / a and c / b above 2/3, `disc` with b / a alone, `rod` with c / b alone,
-    `blade` with neither"""
     krumbein: Number = None
-    """Krumbein's intercept sphericity (b c / a²)^(1/3), of the edges in `min_box_mm`, 0..1"""
     corey: Number = None
-    """Corey's shape factor c / sqrt(a b), of the edges in `min_box_mm`, 0..1"""
     angularity: Number = None
     """Gradient angularity after AASHTO T 381, with squares: the sum over 180 points of an outline of the
     squared change of its direction, degrees², / 59; mean over the views, 0..10000. A circle has 110, a square

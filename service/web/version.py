@@ -1,4 +1,4 @@
 """The version of the REST interface, by semver: raised whenever `deploy/openapi.json` changes."""
 
-API_VERSION = "1.19.0"
+API_VERSION = "1.19.1"
 BASE = "/api/v1"

@@ -22,6 +22,7 @@ def test_every_field_has_a_row_and_says_when_it_is_null() -> None:
     rows = [line.split(" | ") for line in fields_table().splitlines() if line.startswith("| `")]
     null_of = {row[0].strip("| `"): row[2] for row in rows}
     assert [name for name in null_of if "." not in name] == list(Result.model_fields)
+    assert all(row[3].strip("| ") for row in rows), "each is described, here or in ShapeMeasurement"
     assert (null_of["seq"], null_of["reason"], null_of["volume_mm3"]) == ("no", "yes", "unless measured")
     assert (null_of["hull.volume_mm3"], null_of["optics.<camera>.contrast"]) == ("no", "yes")
 
