@@ -1,11 +1,12 @@
 """The same stones as measured twice, one by one: how much each figure differs, and for which stones most."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import StrEnum
 from math import sqrt
 from typing import Any
 
+from pipeline.measuring.shape import ShapeMeasurement
 from service.results.fields import Outcome
 
 Records = Mapping[str, Mapping[str, Any]]
@@ -21,13 +22,17 @@ class Group(StrEnum):
     SHAPE = "shape"
 
 
+FORM_FACTORS = tuple(
+    each.name
+    for each in fields(ShapeMeasurement)
+    if each.type is float and not each.name.endswith(("_mm", "_mm2", "_mm3"))
+)
+"""Measures of the shape that are numbers without a unit."""
 FIELDS = {
     "volume_mm3": Group.VOLUME,
     "sieve_size_mm": Group.SIEVE,
     **dict.fromkeys(("length_mm", "width_mm", "thickness_mm", "max_feret_mm", "min_feret_mm"), Group.AXES),
-    **dict.fromkeys(
-        ("sphericity", "convexity", "elongation_ratio", "flatness_ratio", "krumbein", "corey"), Group.SHAPE
-    ),
+    **dict.fromkeys(FORM_FACTORS, Group.SHAPE),
 }
 """Figures of a stone; the change of a volume counts relative to what it was."""
 N_LARGEST = 5

@@ -66,6 +66,9 @@ def test_the_largest_differences_are_named_and_limits_decide(old: Path, tmp_path
     new = write(tmp_path / "new", records)
     found = json.loads(compare(old / "results.jsonl", new, "--json").stdout)
     volume, sieve = found["stones"]["fields"][:2]
+    names = {each["field"] for each in found["stones"]["fields"]}
+    assert names >= {"sphericity", "corey"}, "numbers without a unit are compared"
+    assert not names & {"zingg_class", "surface_area_mm2", "min_box_mm"}
     assert (volume["field"], volume["n_changed"]) == ("volume_mm3", 2)
     assert [each["id"] for each in volume["largest"][:2]] == ["s3", "s2"]
     assert volume["largest"][0]["change"] == pytest.approx(-3.0)
