@@ -1,4 +1,4 @@
-"""The languages of reports, pages and alarms, and what the indices of a lot are called in each."""
+"""The languages of reports, pages and alarms, and what the figures of lots and stones are called in each."""
 
 import tomllib
 from collections.abc import Mapping
@@ -18,6 +18,6 @@ class Language(StrEnum):
 
 @cache
 def figure_names(language: Language) -> Mapping[str, str]:
-    """Return the words of pages and reports, `index.` and the field of `ShapeIndices`, in their order on paper."""
-    names = tomllib.loads((FOLDER / f"{language}.toml").read_text(encoding="utf-8"))
-    return {f"index.{field}": name for field, name in names.items()}
+    """Return the words of pages and reports, `index.` or `measure.` and the field, in their order there."""
+    kinds = tomllib.loads((FOLDER / f"{language}.toml").read_text(encoding="utf-8"))
+    return {f"{kind}.{field}": name for kind, names in kinds.items() for field, name in names.items()}

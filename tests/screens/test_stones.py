@@ -157,12 +157,16 @@ def test_the_passport_has_numbers_with_uncertainty_and_standard(
     expect(row).to_contain_text(f"{record['length_mm']:.2f} mm")
     expect(row).to_contain_text(f"± {2 * 2**0.5 * record['surface_sd_mm']:.2f}")
     expect(row).to_contain_text("ASTM D4791")
+    ratio = page.locator("[data-measure=corey]")
+    expect(ratio).to_contain_text(f"Shape factor{record['corey']:.3f}")
     expect(page.locator("#views figure")).to_have_count(len(record["views"]) + len(record["dropped_views"]))
     page.locator("#views").scroll_into_view_if_needed()
     until(page, "() => document.querySelector('.view svg .stone') !== null")  # its outline
     expect(page.locator("#facts")).to_contain_text("L-7")
     before = page.locator("#neighbours a[rel=prev]")
     expect(before).to_have_attribute("href", re.compile(r"/stones/[0-9a-f]{8}-\d+$"))
+    page.goto(address(replay, f"/stones/{stone}?language=de"))
+    expect(ratio).to_contain_text("Formfaktor")
 
 
 def test_a_pin_holds_until_it_is_taken_away(page: Page, replay: DaemonProcess, lot: str, stone: str) -> None:

@@ -30,6 +30,7 @@ from service.reports.words import words
 from service.results.fields import LossReason, NotRefined, Outcome
 
 SOURCES = Path(__file__).parents[4] / "service" / "reports"
+ENGLISH, GERMAN = words(Language.ENGLISH), words(Language.GERMAN)
 FAMILIES = {
     "verdict": list(Verdict),
     "state": list(State),
@@ -43,6 +44,7 @@ FAMILIES = {
     "gallery_reason": list(GalleryReason),
     "counted": ["mass", "number"],
     "index": INDICES,
+    "measure": ENGLISH.family("measure"),  # which pages list
     "d4791": list(DIMENSIONS),
     "diary_kind": list(DiaryKind),
     "diary_value": list(DiaryKind),
@@ -57,7 +59,6 @@ FAMILIES = {
         "least_portion_kg",
     ],
 }
-ENGLISH, GERMAN = words(Language.ENGLISH), words(Language.GERMAN)
 
 
 class Noted(UserDict[str, str]):

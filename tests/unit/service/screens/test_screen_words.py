@@ -10,14 +10,15 @@ from pipeline.errors import ProblemCode, RejectReason
 from pipeline.gradation.specification import Verdict
 from pipeline.segmentation.silhouette import ViewStatus
 from service import screens
-from service.base.language import Language
+from service.base.language import Language, figure_names
 from service.base.status import AcquisitionState, DeviceState, Ne107
 from service.calibration.states import CalibrationState
 from service.calibration.verifications import VerificationState
 from service.health.alarms.alarm import ANNOUNCED
 from service.health.alarms.rules import Priority
+from service.lots.stone_changes import FORM_FACTORS
 from service.recording.live_recording import EndedBy, RecordingState
-from service.results.fields import LossReason, Outcome, Verified
+from service.results.fields import MEASURED_FIELDS, LossReason, Outcome, Verified
 from service.web.routes.screens import installed_screens
 
 FOLDER = Path(screens.__file__).parent
@@ -64,6 +65,13 @@ def test_no_word_is_left_over() -> None:
     assert patterns
     unused = [key for key in WORDS[Language.ENGLISH] if not any(each.fullmatch(key) for each in patterns)]
     assert unused == []
+
+
+def test_all_measures_of_the_form_have_names_and_all_names_are_of_measures() -> None:
+    english, german = (figure_names(language) for language in (Language.ENGLISH, Language.GERMAN))
+    assert list(english) == list(german)
+    named = {key.removeprefix("measure.") for key in english if key.startswith("measure.")}
+    assert {*FORM_FACTORS, "zingg_class"} <= named <= {*MEASURED_FIELDS, "length_to_thickness"}
 
 
 @pytest.mark.parametrize(
