@@ -146,8 +146,8 @@ def unit_of(name: str) -> str | None:
 
 def decision_on(figures: LotFigures, index: str) -> Decision | None:
     """Return the verdict on one of `INDICES`, None without limits."""
-    decision: Decision | None = getattr(figures, index.replace("percent", "decision"), None)
-    return decision
+    found = {"flakiness_percent": figures.flakiness_decision, "shape_percent": figures.shape_decision}
+    return found.get(index)
 
 
 def shares_of(forms: Iterable[FlatAndElongated]) -> Iterator[tuple[int, str, str, Estimate]]:
