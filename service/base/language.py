@@ -18,6 +18,12 @@ class Language(StrEnum):
 
 @cache
 def figure_names(language: Language) -> Mapping[str, str]:
-    """Return the words of pages and reports, `index.` or `measure.` and the field, in their order there."""
+    """Return the words of pages and reports, `index.` or `measure.` and the field, in their order there.
+
+    `decimals.` and an index has the digits after its point.
+    """
     kinds = tomllib.loads((FOLDER / f"{language}.toml").read_text(encoding="utf-8"))
-    return {f"{kind}.{field}": name for kind, names in kinds.items() for field, name in names.items()}
+    names = {f"{kind}.{field}": name for kind, fields in kinds.items() for field, name in fields.items()}
+    return names | {
+        f"decimals.{field}": "1" if field.endswith("_percent") else "2" for field in kinds["index"]
+    }

@@ -3,7 +3,7 @@
 from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.indices import ShapeIndices
 from pipeline.gradation.specification import Decision
-from service.lots.figures import LotFigures, decision_on, unit_of
+from service.lots.figures import LotFigures, decision_on
 from service.lots.laboratory import StoredSieving
 from service.reports.curve import gradation_curve
 from service.reports.document import DASH, Block, Column, Note, Picture, Section, Table
@@ -114,7 +114,7 @@ def indices(data: ReportData, say: Words) -> Section:
         [
             (
                 title,
-                say.number(figure.value, decimals := 1 if unit_of(name) == "%" else 2),
+                say.number(figure.value, decimals := int(say(f"decimals.{name}"))),
                 say.interval(figure, decimals),
                 limits(decision, say),
                 verdict_word(decision, figure, say),

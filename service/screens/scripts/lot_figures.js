@@ -36,7 +36,7 @@ export function showFigures(place, all, without, sieveMm) {
   const text = (name, of) => [rowHead(name), ...columns.map(of)];
   const rows = [
     figure("D50", "mm", 2, ({ quantiles }) => quantiles.find(({ percent }) => percent === 50).interpolated_mm),
-    ...family("index").map((name) => figure(word(`index.${name}`), "", name.endsWith("_percent") ? 1 : 2, ({ indices }) => indices[name])),
+    ...family("index").map((name) => figure(word(`index.${name}`), "", Number(word(`decimals.${name}`)), ({ indices }) => indices[name])),
     ...(sieveMm === null ? [] : [figure(word("gallery.passing", { sieve: sieve(sieveMm) }), "%", 1, (figures) => passing(figures, sieveMm))]),
     text(word("gallery.measured"), ({ measured }) => number(measured)),
     text(word("gallery.verdict"), ({ verdict }) => word(`verdict.${verdict ?? "none"}`)),

@@ -44,6 +44,7 @@ FAMILIES = {
     "gallery_reason": list(GalleryReason),
     "counted": ["mass", "number"],
     "index": INDICES,
+    "decimals": INDICES,
     "measure": ENGLISH.family("measure"),  # which pages list
     "d4791": list(DIMENSIONS),
     "diary_kind": list(DiaryKind),
