@@ -81,21 +81,22 @@ class ShapeIndices:
     __pydantic_config__ = SCHEMA
 
     fineness_modulus: Estimate
-    """ASTM C136"""
+    """ASTM C136: percent retained on 0.15, 0.3 ... 150 mm, summed, / 100; stones below the measured range count as in
+    the middle of its sieves"""
     uniformity: Estimate
-    """Cu = D60 / D10"""
+    """Cu = D60 / D10, of the exact sizes"""
     curvature: Estimate
-    """Cc = D30² / (D10 D60)"""
+    """Cc = D30² / (D10 D60), of the exact sizes"""
     d32_mm: Estimate
-    """ISO 9276-2, mean by surface, of the sieve size"""
+    """ISO 9276-2, mean by surface of the sieve size d: sum d³ / sum d²"""
     d43_mm: Estimate
-    """ISO 9276-2, mean by volume, of the sieve size"""
+    """ISO 9276-2, mean by volume of the sieve size d: sum d⁴ / sum d³"""
     flakiness_percent: Estimate
-    """FI, EN 933-3"""
+    """FI, EN 933-3, 4 to 100 mm: mass with `min_feret_mm` up to the slot of its own fraction"""
     shape_percent: Estimate
-    """SI, EN 933-4"""
+    """SI, EN 933-4, 4 to 63 mm: mass with `max_feret_mm` > 3 `min_feret_mm`"""
     needle_flaky_percent: Estimate
-    """JTG 3432 T 0312"""
+    """JTG 3432 T 0312, above 4.75 mm: as SI, of 100 stones at the least"""
     flat_and_elongated: Sequence[FlatAndElongated]
     """ASTM D4791 at each ratio, of all particles together"""
     flat_and_elongated_fractions: Sequence[FlatAndElongatedFraction]
