@@ -24,7 +24,7 @@ from service.lots.evaluation import figures_of
 from service.lots.stone_changes import Group, Records, StoneChanges, beyond_limits, stone_changes
 from service.lots.stones import stones_in
 from service.lots.yardsticks import Request, UnknownYardstickError
-from service.results.version import CHANGES
+from service.results.version import CHANGES_GUIDE
 
 PAGE = 500
 REVISION = re.compile("r([0-9]{1,6})")
@@ -214,4 +214,4 @@ def _versions_line(before: Records, after: Records) -> str:
     )
     if old == new:
         return f"both of algorithm {old}: images, parameters, calibration or background differ"
-    return f"algorithm {old} -> {new}; what each version changed: {CHANGES}"
+    return f"algorithm {old} -> {new}; what each version changed: {CHANGES_GUIDE}"

@@ -1,25 +1,44 @@
-"""The table of result fields in `service/web/README.md`; a test compares it with this.
+"""The tables of guides that follow from the program; a test compares them with this.
 
-Run `python -m service.results.table` after a change of `service.results.fields`, and put what it prints between the two
-markers of the guide.
+Run `python -m service.results.table` after a change of `service.results.fields` or `service.results.version`: it writes
+each between the two markers of its guide.
 """
 
-import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 from service.results.fields import MEASURED_FIELDS, Result
+from service.results.version import CHANGES, CHANGES_GUIDE
 
 BEGIN = "<!-- python -m service.results.table -->"
 END = "<!-- end of the table -->"
 Definitions = Mapping[str, Mapping[str, Any]]
 
 
-def fields_table() -> str:
-    """Return the fields of a result as a Markdown table, between the markers."""
+def fields_table() -> list[str]:
+    """Return the fields of a result as a Markdown table."""
     schema = Result.model_json_schema(mode="serialization")
-    rows = ["| field | type | null | meaning |", "|---|---|---|---|", *_rows(schema, schema["$defs"], "")]
-    return "\n".join([BEGIN, *rows, END]) + "\n"
+    return ["| field | type | null | meaning |", "|---|---|---|---|", *_rows(schema, schema["$defs"], "")]
+
+
+def changes_table() -> list[str]:
+    """Return the changes of all versions of the algorithm as a Markdown table."""
+    rows = (f"| {version} | {changed} | {figure} |" for version, (changed, figure) in CHANGES.items())
+    return ["| version | what changed in results | a figure of that time |", "|---|---|---|", *rows]
+
+
+TABLES: Mapping[str, Callable[[], list[str]]] = {
+    "service/web/README.md": fields_table,
+    CHANGES_GUIDE: changes_table,
+}
+"""By the guide that has it."""
+
+
+def renewed(guide: str, table: list[str]) -> str:
+    """Return the text of a guide with this table between its markers."""
+    before, _, rest = guide.partition(BEGIN)
+    return before + "\n".join([BEGIN, *table, END]) + rest.partition(END)[2]
 
 
 def _rows(schema: Mapping[str, Any], definitions: Definitions, prefix: str) -> Iterator[str]:
@@ -60,4 +79,6 @@ def _resolved(schema: Mapping[str, Any], definitions: Definitions) -> Mapping[st
 
 
 if __name__ == "__main__":
-    sys.stdout.write(fields_table())
+    for name, table in TABLES.items():
+        path = Path(name)
+        path.write_text(renewed(path.read_text(encoding="utf-8"), table()), encoding="utf-8")

@@ -13,7 +13,7 @@ from service.commands.cli import build_app
 from service.commands.compare import revisions_of_lot
 from service.commands.daemon_client import DaemonClient
 from service.results.record import document_of
-from service.results.version import CHANGES
+from service.results.version import CHANGES_GUIDE
 
 N_STONES = 4
 
@@ -55,7 +55,7 @@ def test_equal_results_are_said_to_be_equal(old: Path, tmp_path: Path) -> None:
     )
     assert done.exit_code == 0, done.output
     assert "equal, bit for bit" in done.output
-    assert CHANGES not in done.output
+    assert CHANGES_GUIDE not in done.output
 
 
 def test_the_largest_differences_are_named_and_limits_decide(old: Path, tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_what_changed_names_both_algorithms_and_the_guide_to_them(tmp_path: Path
         for version, word in (("16", "good"), ("17", "reduced"))
     ]
     done = compare(*sides)
-    assert f"algorithm 16 -> 17; what each version changed: {CHANGES}" in done.output
+    assert f"algorithm 16 -> 17; what each version changed: {CHANGES_GUIDE}" in done.output
     twice = [{**stone, "quality": "reduced", "algorithm_version": "16"} for stone in stones()]
     assert "both of algorithm 16" in compare(sides[0], write(tmp_path / "again", twice)).output
 
