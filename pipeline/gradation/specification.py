@@ -45,12 +45,24 @@ class Range:
     """Least percent that is allowed"""
     max_percent: float
     """Greatest percent that is allowed"""
+    declared_max_percent: float | None = None
+    """Greatest percent where the supplier declares the product's typical grading, as EN 13043 and EN 12620 ask where
+    more than 99 % passes the upper size D; null: `max_percent`, whatever is declared"""
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_percent <= self.max_percent <= 100:
             raise ValueError(
                 f"limits must rise from 0 to 100 %, not {self.min_percent:g} to {self.max_percent:g}"
             )
+        if not self.max_percent <= self.greatest_percent <= 100:
+            raise ValueError(
+                f"with a declaration up to {self.greatest_percent:g} %, between {self.max_percent:g} and 100"
+            )
+
+    @property
+    def greatest_percent(self) -> float:
+        """Greatest percent that conforms, if need be with a declaration."""
+        return self.max_percent if self.declared_max_percent is None else self.declared_max_percent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,6 +93,8 @@ class Decision:
     """Stones until it is expected to be decided; null: decided, or never"""
     more_s: float | None = None
     """Seconds that these take at the present rate"""
+    asks_declaration: bool = False
+    """More passes than `limits.max_percent`: conforms only with the supplier's declaration of the typical grading"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,7 +150,7 @@ def judge_figure(figure: Estimate, limits: Range, step_percent: float, stones_pe
     """Return the verdict on one figure, by its interval; without a rate, no time until it is decided."""
     if figure.value is None or figure.low is None or figure.high is None:
         return Decision(verdict=Verdict.NOT_MEASURED, limits=limits)
-    low, high = limits.min_percent - step_percent / 2, limits.max_percent + step_percent / 2
+    low, high = limits.min_percent - step_percent / 2, limits.greatest_percent + step_percent / 2
     low_end = 100 - UNPROVEN_PERCENT if limits.min_percent == 100 else low
     if figure.state is State.INSUFFICIENT:
         verdict = Verdict.INSUFFICIENT
@@ -150,7 +164,14 @@ def judge_figure(figure: Estimate, limits: Range, step_percent: float, stones_pe
     if verdict in (Verdict.INSUFFICIENT, Verdict.UNDECIDED):
         more_stones = _more_stones(figure, low_end if figure.value >= low else low, high)
     more_s = None if more_stones is None or stones_per_s <= 0 else more_stones / stones_per_s
-    return Decision(verdict=verdict, limits=limits, more_stones=more_stones, more_s=more_s)
+    asks_declaration = limits.max_percent + step_percent / 2 < figure.value <= high
+    return Decision(
+        verdict=verdict,
+        limits=limits,
+        more_stones=more_stones,
+        more_s=more_s,
+        asks_declaration=asks_declaration,
+    )
 
 
 def _more_stones(figure: Estimate, low: float, high: float) -> int | None:

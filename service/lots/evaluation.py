@@ -158,13 +158,15 @@ def countdown(judgement: LotJudgement) -> str:
     named += [(name, each) for name, each in (("FI", judgement.flakiness), ("SI", judgement.shape)) if each]
     by_verdict: dict[Verdict, list[str]] = {}
     for name, each in named:
-        by_verdict.setdefault(each.verdict, []).append(name + _wait(each))
+        by_verdict.setdefault(each.verdict, []).append(name + _remark(each))
     return "; ".join(
         f"{', '.join(names)}: {verdict.replace('_', ' ')}" for verdict, names in sorted(by_verdict.items())
     )
 
 
-def _wait(decision: Decision) -> str:
+def _remark(decision: Decision) -> str:
+    if decision.asks_declaration and decision.verdict is Verdict.CONFORMS:
+        return " (with the typical grading declared)"
     if decision.more_stones is None:
         return ""
     seconds = "" if decision.more_s is None else f", {decision.more_s:.0f} s"

@@ -61,14 +61,16 @@ def read_standards(folder: Path = FOLDER) -> Standards:
         raise StandardsError(f"{folder}: {err}") from err
 
 
-def _pair_to_limits(pair: object) -> object:
-    match pair:
+def _to_limits(percent: object) -> object:
+    match percent:
         case [float() | int() as low, float() | int() as high]:
             return Range(float(low), float(high))
-    raise ValueError("must be [least, greatest] percent")
+        case [float() | int() as low, float() | int() as high, float() | int() as declared]:
+            return Range(float(low), float(high), float(declared))
+    raise ValueError("must be [least, greatest] percent, or [least, greatest, greatest with a declaration]")
 
 
-_Limits = Annotated[Range, BeforeValidator(_pair_to_limits)]
+_Limits = Annotated[Range, BeforeValidator(_to_limits)]
 
 
 class _Strict(BaseModel):

@@ -118,6 +118,8 @@ def countdown(data: ReportData, say: Words) -> Iterator[str]:
                 figure=with_interval(figure, 1, say),
                 limits=limits(decision, say),
             ) + _more(decision, say)
+        if decision.asks_declaration:
+            yield say("verdict_box.declare", name=name, limits=limits(decision, say))
     if judged and all(decision.verdict is Verdict.CONFORMS for _, decision, _ in judged):
         yield say("verdict_box.all_conform", n=say.number(len(judged), 0))
 

@@ -51,13 +51,13 @@ function countdown(decisions) {
     .join("; ");
 }
 
-function judged({ sieve_mm, index, percent, decision: { verdict, limits, more_stones, more_s } }) {
+function judged({ sieve_mm, index, percent, decision: { verdict, limits, more_stones, more_s, asks_declaration } }) {
   const name = index === null ? `${sieve(sieve_mm)} mm` : index;
   if (verdict === "does_not_conform") {
     const [value, low, high] = [percent.value, limits.min_percent, limits.max_percent].map((each) => number(each));
     return word("operator.judged-outside", { name, percent: value, low, high });
   }
-  if (more_stones === null) return name;
+  if (more_stones === null) return asks_declaration ? word("operator.judged-declare", { name }) : name;
   const stones = number(more_stones);
   return more_s === null
     ? word("operator.judged-more-stones", { name, stones })

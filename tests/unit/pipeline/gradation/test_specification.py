@@ -157,6 +157,46 @@ def test_a_category_is_a_specification_once_the_product_is_known() -> None:
         specification_of(category, 16.0, 8.0, (8.0, 16.0))
 
 
+AT_D = Range(85, 99, 100)
+"""The limits of GC85-20 at D, percent: more than 99 asks for a declaration."""
+
+
+@pytest.mark.parametrize(
+    ("percent", "verdict", "asks"),
+    [
+        (100.0, Verdict.CONFORMS, True),
+        (99.0, Verdict.CONFORMS, False),
+        (80.0, Verdict.DOES_NOT_CONFORM, False),
+    ],
+)
+def test_more_than_the_limit_conforms_with_a_declaration(
+    percent: float, verdict: Verdict, asks: bool
+) -> None:
+    found = judge_figure(around(percent, 0.2), AT_D, 1.0)
+    assert (found.verdict, found.asks_declaration) == (verdict, asks)
+
+
+def test_stones_that_all_pass_the_upper_size_are_never_rejected() -> None:
+    """With limits of 85 to 99 % and nothing else, some thousand good stones were rejected."""
+    rng = np.random.default_rng(5)
+    sizes_mm = np.exp(rng.normal(np.log(16), np.log(1.3), 30_000))
+    sizes_mm = sizes_mm[sizes_mm < 28]
+    for n, verdict in (
+        (300, Verdict.UNDECIDED),
+        (8_000, Verdict.CONFORMS),
+        (len(sizes_mm), Verdict.CONFORMS),
+    ):
+        found = judge_figure(evaluate(lot_of_sizes(sizes_mm[:n]), (31.5,)).passing(31.5), AT_D, 1.0)
+        assert found.verdict in (verdict, Verdict.CONFORMS), n
+        assert found.asks_declaration
+
+
+def test_a_declaration_allows_no_less_than_the_limit_and_no_more_than_all() -> None:
+    for declared in (98.0, 101.0):
+        with pytest.raises(ValueError, match="with a declaration"):
+            Range(85, 99, declared)
+
+
 @pytest.mark.parametrize(("low", "high"), [(-1.0, 5.0), (5.0, 4.0), (0.0, 101.0), (float("nan"), 5.0)])
 def test_impossible_limits_are_refused(low: float, high: float) -> None:
     with pytest.raises(ValueError, match="limits must rise"):

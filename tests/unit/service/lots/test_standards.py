@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.gradation.estimates import Errors, estimate
 from pipeline.gradation.indices import EN_933_3
-from pipeline.gradation.specification import Range, specification_of
+from pipeline.gradation.specification import Range, Verdict, judge_figures, specification_of
 from service.base.errors import StandardsError
 from service.lots.standards import FOLDER, SIEVES, SPECIFICATIONS, read_standards
 
@@ -21,6 +22,30 @@ def test_all_tables_are_there_and_name_their_source() -> None:
     assert found.least_portions["en-933-1"].least_kg(16.0) == pytest.approx(2.6)
     for table in (*found.sieve_sets.values(), *found.categories.values(), *found.sizes.values()):
         assert "general" in table.source or "found" in table.source or table.name == "stonefall"
+
+
+@pytest.mark.parametrize("name", [*read_standards().categories, *read_standards().sizes])
+def test_ideal_material_conforms_once_it_is_known_well(name: str) -> None:
+    """All stones between d and D; of sizes in several steps, each in the middle of its limits."""
+    found = read_standards()
+    if name in found.categories:
+        apertures_mm = found.sieve_sets["r20"].apertures_mm
+        specification = specification_of(found.categories[name], 8.0, 31.5, apertures_mm)
+        percents = {sieve_mm: 100.0 if sieve_mm >= 31.5 else 0.0 for sieve_mm in specification.passing}
+    else:
+        specification = found.sizes[name]
+        percents = {
+            sieve_mm: (limits.min_percent + limits.max_percent) / 2
+            for sieve_mm, limits in specification.passing.items()
+        }
+    passing = {
+        sieve_mm: estimate(
+            percent, (max(percent - 0.1, 0), min(percent + 0.1, 100)), Errors(0.05, 0.0, 0.0), 100_000, 1e5
+        )
+        for sieve_mm, percent in percents.items()
+    }
+    judgement = judge_figures(specification, passing)
+    assert (judgement.verdict, judgement.is_partial) == (Verdict.CONFORMS, False)
 
 
 def test_a_category_of_a_product_is_on_its_sieves() -> None:
