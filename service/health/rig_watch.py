@@ -2,7 +2,7 @@
 
 Every result has a score for each camera, the epipolar residual of its outlines against those of the others
 (`pipeline.views.epipolar_tangency`), and the residual of its outline against the hull of the others. A camera that was
-hit raises the first at the next stone; dust and failing light raise the second, slowly.
+hit raises the first at the next stones; dust and failing light raise the second, slowly.
 
 Whether a view is dropped is decided for each stone alone, by the pipeline: it does not depend on which stones
 came before, hence not on the number of workers. Only the alarm is kept here.
@@ -26,9 +26,10 @@ from service.results.fields import Result
 WINDOW = 20
 """Latest stones over which medians are taken."""
 MIN_STONES = 5
-"""Fewest stones with a meaningful median; a view that was dropped counts at once."""
-IN_A_ROW = 3
-"""Stones in a row whose view contradicts the hull of the others, but not their tangents, before it is an alarm."""
+"""Fewest stones with a meaningful median; a view that was dropped counts sooner."""
+DISPLACED_IN_A_ROW, CONTRADICTING_IN_A_ROW = 2, 3
+"""Stones in a row whose view contradicts the tangents of the others, or only their hull, before it is an alarm: before
+a spot of the wall a piece of a stone may be taken for background, but hardly of the next one in the same view."""
 RESIDUAL_DRIFT_PX = 0.3
 """Alarm limit of the rise of the median residual against the hull, compared with this calibration's first stones."""
 SHARP_WIDTH_PX = 2.6
@@ -90,7 +91,7 @@ class _Camera:
     def is_dropped(self) -> bool:
         """Whether its view was dropped for another reason than a single odd silhouette."""
         is_displaced = self.latest_px is not None and self.latest_px >= self.alarm_px
-        return self.n_dropped >= (1 if is_displaced else IN_A_ROW)
+        return self.n_dropped >= (DISPLACED_IN_A_ROW if is_displaced else CONTRADICTING_IN_A_ROW)
 
     @property
     def score_px(self) -> float | None:

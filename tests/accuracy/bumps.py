@@ -41,15 +41,17 @@ from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.segmentation import segment_all
 from pipeline.segmentation.subtraction import BackgroundSegmenter
+from pipeline.synthesis.background import WallKind
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.exposure import LENS_PRESETS, LensPreset
 from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
 from pipeline.views.epipolar_tangency import outlines_of
 from pipeline.views.prepared import prepare_views
-from service.health.rig_watch import RigWatch
+from service.health.rig_watch import DISPLACED_IN_A_ROW, RigWatch
 
 TURNS_DEG = (0.1, 0.5)
+SOON = DISPLACED_IN_A_ROW
 N_BUMPS = 10
 N_HEALTHY = 100
 N_AFTER = 20
@@ -91,9 +93,9 @@ def exact_outlines(noise_px: float) -> Observed:
     return observed
 
 
-def in_images(lens: LensPreset, seed: int) -> Observed:
+def in_images(lens: LensPreset, wall: WallKind, seed: int) -> Observed:
     """The rig of this seed and its stones, as they are found in rendered images, over and over."""
-    scene = build_scene(seed, exposure=LENS_PRESETS[lens])
+    scene = build_scene(seed, exposure=LENS_PRESETS[lens], wall_kind=wall)
     found = []
     for number in range(N_RENDERED):
         rng = stream(seed, BODY, number)
@@ -207,7 +209,7 @@ def bumps(
 def summary_of(turned: Sequence[Bump]) -> Table:
     """Return one line for each angle by which cameras were turned."""
     table = Table(
-        *("all turns of", "turned", "image px", "named by the first stone", "later", "by stone, at most"),
+        *("all turns of", "turned", "image px", "named by the second stone", "later", "by stone, at most"),
         *("not named", "left out of stones", "others named"),
     )
     for turn_deg in dict.fromkeys(each.turn_deg for each in turned):
@@ -217,8 +219,8 @@ def summary_of(turned: Sequence[Bump]) -> Table:
             f"{turn_deg:g}",
             str(len(own)),
             f"{min(each.image_px for each in own):.1f} to {max(each.image_px for each in own):.1f}",
-            str(named_after.count(1)),
-            str(len(named_after) - named_after.count(1)),
+            str(sum(after <= SOON for after in named_after)),
+            str(sum(after > SOON for after in named_after)),
             str(max(named_after, default="-")),
             str(len(own) - len(named_after)),
             f"{sum(each.dropped for each in own)} of {N_AFTER * len(own)}",
@@ -251,11 +253,14 @@ def main() -> None:
     parser.add_argument("--noise-px", type=float, default=0.08)
     parser.add_argument("--turns", type=float, nargs="+", default=TURNS_DEG, help="degrees")
     parser.add_argument("--lens", type=LensPreset, choices=tuple(LensPreset), help="find outlines in images")
+    parser.add_argument("--wall", type=WallKind, choices=tuple(WallKind), default=WallKind.PANELS)
     parser.add_argument("--recalibrate", action="store_true")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     observed = (
-        in_images(arguments.lens, arguments.seed) if arguments.lens else exact_outlines(arguments.noise_px)
+        in_images(arguments.lens, arguments.wall, arguments.seed)
+        if arguments.lens
+        else exact_outlines(arguments.noise_px)
     )
     table = Table("turn °", "camera", "image px", "named after", "dropped", "others named", "what it says")
     turned = bumps(arguments.seed, observed, arguments.turns)

@@ -126,12 +126,15 @@ RUNS: Mapping[str, Run] = {
     ),
     "paper": Run(command="stonefall benchmark --paper --json", figures_of=of_paper, lens="f2", body="photo"),
     **{
-        f"drops-{lens}": Run(
+        f"drops-{name}": Run(
             command=f"tests/accuracy/calibration.py --rigs 1 --seed 3 --lens {lens} --json",
             figures_of=of_drops,
-            lens=lens,
+            lens=lens.partition(" ")[0],
         )
-        for lens in ("sharp", "f8", "f4", "f2")
+        for name, lens in (
+            *((lens, lens) for lens in ("sharp", "f8", "f4", "f2")),
+            ("spotted", "f2 --wall spotted"),
+        )
     },
     "times": Run(command="stonefall benchmark --poses 5 --json", figures_of=of_sizes, body="as named"),
     "scaling": Run(command="stonefall benchmark --scaling --poses 2 --json", figures_of=of_scaling),
@@ -189,6 +192,12 @@ RUNS: Mapping[str, Run] = {
             ("surfaces", "accuracy/surfaces.py --seed 113 --count 1", "as named", "photo"),
             ("bumps", "accuracy/bumps.py --recalibrate", "sharp", None),
             ("bumps-f2", "accuracy/bumps.py --lens f2 --turns 0.01 0.1 --recalibrate", "f2", None),
+            (
+                "bumps-spotted",
+                "accuracy/bumps.py --lens f2 --wall spotted --turns 0.1 --recalibrate",
+                "f2",
+                None,
+            ),
             ("gradation", "accuracy/gradation.py --seed 1", "f2", "photo"),
             ("rock", "accuracy/rock.py", "f2", "photo"),
         )
