@@ -44,6 +44,7 @@ from pipeline.segmentation.subtraction import SegmentationParameters
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.pixel_coverage import Window, coverage, mesh_edges, silhouette_edges
 from pipeline.views.dropped import DropCause
+from service.lots.stones import SURFACES
 from service.processing.models.networks import read_model
 from service.processing.segmenters import SegmenterPlan, build_segmenter
 
@@ -156,6 +157,7 @@ def _measured(
         volume_percent=100 * (found.volume_mm3 / shape.volume_mm3 - 1),
         estimate_volume_percent=100 * (estimate.measurement.volume_mm3 / shape.volume_mm3 - 1),
         sieve_percent=100 * (found.shape.sieve_size_mm / shape.sieve_size_mm - 1),
+        sieve_sigmas=(found.shape.sieve_size_mm - shape.sieve_size_mm) / (SURFACES * found.surface_sd_mm),
         word=str(photo.quality),
         causes=tuple(map(str, photo.quality_causes)),
         support=found.supported_share,

@@ -44,6 +44,7 @@ class Row:
     volume_percent: float | None = None
     estimate_volume_percent: float | None = None
     sieve_percent: float | None = None
+    sieve_sigmas: float | None = None  # error over the sigma that lots count with
     word: str | None = None
     causes: tuple[str, ...] = ()
     support: float | None = None
@@ -108,6 +109,7 @@ def summary_table(rows: Sequence[Row]) -> Table:
     for column in (
         "rig", "kind", "n", "rejected", "mean mm", "largest mm", "> 0.3 mm, %", "volume %: mean", "volume rms %",
         "sieve rms %", "error / sigma: surface, rms", "volume error / sigma: rms", "volume within 2 sigma, %",
+        "sieve error / sigma: rms",
         "good / reduced / degraded", "within 0.04 mm and 1 %: good", "good beyond them",
     ):  # fmt: skip
         found.add_column(column, justify="left" if column in ("rig", "kind") else "right")
@@ -145,6 +147,7 @@ def summary_table(rows: Sequence[Row]) -> Table:
                 f"{_rms(sigmas):.2f}",
                 f"{_rms(volume_sigmas):.2f}",
                 f"{100 * (np.abs(volume_sigmas) < 2).mean():.0f}",
+                f"{_rms(np.array([row.sieve_sigmas for row in own])):.2f}",
                 " / ".join(str(words[word]) for word in ("good", "reduced", "degraded")),
                 f"{(is_good & is_within).sum()} of {is_within.sum()}",
                 str((is_good & ~is_within).sum()),
