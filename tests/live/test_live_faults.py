@@ -196,10 +196,10 @@ def test_c3_a_process_of_the_cameras_that_hangs_is_named_and_replaced(live: Live
     assert live.accounting()["is_balanced"]
     lost = [result for result in live.results(seq) if result["outcome"] == "lost"]
     assert {result["reason"] for result in lost} == {"no_frames"}
+    # the end of another process, shortly before, may have raised this alarm already
+    live.daemon.wait_for("/alarms", lambda now: "camera_process" in [each["check"] for each in now["items"]])
     events = live.daemon.get(f"/events?after={event}&limit=1000")["items"]
-    raised = {each["subject"] for each in events if each["type"] == "alarm.raised"}
-    assert "camera_process" in raised
-    assert "trigger_line" not in raised
+    assert "trigger_line" not in {each["subject"] for each in events if each["type"] == "alarm.raised"}
 
 
 @pytest.mark.full
