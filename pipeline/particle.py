@@ -118,10 +118,7 @@ def measure_bundle(
         on_stage("check")
         dropped.update(consistency.suspects)
         if not consistency.is_consistent:
-            raise RejectedError(
-                RejectReason.INCONSISTENT,
-                f"more than {parameters.consistency.max_suspect_views} views contradict each other",
-            )
+            raise RejectedError(RejectReason.INCONSISTENT, "too many views contradict each other")
         views = views.without(consistency.suspects)
         outlined = views.with_outline()  # a view of which only unknown is left tells nothing
         by_number = quality_of(rig.subset(outlined.camera_ids), rig, parameters.views)

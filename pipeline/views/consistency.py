@@ -40,7 +40,7 @@ from pipeline.views.prepared import PreparedViews, prepare_views
 class ConsistencyParameters:
     """Limits beyond which a view contradicts the others."""
 
-    max_suspect_views: int = 2  # views that may be dropped for that; more mean a bundle to reject
+    max_suspect_views: int = 4  # that may be dropped, a quarter of all at most; more mean a bundle to reject
     max_residual_px: float = 4.0  # rms by which an outline may leave the hull of the others
     max_denied_share: float = 0.1  # of the body's diameter: median clearance of a view that sees too little
     max_tangency_px: float = 1.5  # median epipolar residual of a view; below it, losing the view costs more
@@ -118,6 +118,7 @@ def displaced_views(
 ) -> tuple[dict[CameraId, DroppedView], bool]:
     """Find views that their tangents' scores alone show to be wrong, worst first, and whether these are all of them."""
     suspects: dict[CameraId, DroppedView] = {}
+    n_most = min(parameters.max_suspect_views, len(tangency_px) // 4)
     scores_px = dict(tangency_px)
     while scores_px:
         worst = max(scores_px, key=lambda camera: scores_px[camera])
@@ -127,7 +128,7 @@ def displaced_views(
             parameters.max_tangency_ratio * float(np.median(list(scores_px.values()))),
         ):
             break
-        if len(suspects) == parameters.max_suspect_views:
+        if len(suspects) == n_most:
             return suspects, False
         suspects[worst] = DroppedView(
             DropCause.CONTRADICTION, f"its tangents miss theirs by {score_px:.1f} px"
@@ -141,12 +142,13 @@ def _careful_judgement(
 ) -> tuple[_Judgement | None, dict[CameraId, DroppedView]]:
     """Return the last judgement, `None` without a hull, and the views that were dropped on the way, worst first.
 
-    The worst is dropped and the others judged again, until all agree or no more may be dropped. While r more
-    may be, r votes against a point are not counted, so that a bad view does not condemn the good ones.
+    The worst is dropped and the others judged again, until all agree or no more may be dropped: half as many as by
+    tangents, which name the view that is wrong. While r more may be, r votes against a point are not counted, so that
+    a bad view does not condemn the good ones.
     """
     suspects: dict[CameraId, DroppedView] = {}
     while True:
-        n_left = parameters.max_suspect_views - n_suspects - len(suspects)
+        n_left = max(parameters.max_suspect_views // 2 - n_suspects - len(suspects), 0)
         overruled = max(min(n_left, len(views) - 3), 0)
         judgement = _judgement(views, overruled, agreeing, parameters)
         if judgement is None or judgement.worst is None or n_left == 0:
