@@ -11,10 +11,11 @@ from pipeline.geometry.bounds import bounds
 
 Boxes = Annotated[Floats, "(F, 2, 3)"]
 
-N_SMOOTHED, N_RETREATS = 10, 24
-"""Repairs that smooth, and then those that go back to the surface before: of most folds one is enough."""
+N_SMOOTHED, N_RETREATS, N_HALVED = 10, 24, 6
+"""Repairs that smooth, and then those that go back to the surface before: of most folds one is enough. The
+first of these go half the way, the others whole and for good."""
 RETREAT = 0.5
-"""Share of the way back by which such a repair moves what crosses."""
+"""Share of the way back by which one of the first moves what crosses."""
 CELL_MM = 0.35
 """Edge of the cells in which triangles are compared: about that of a triangle, and half as much again."""
 MOST_CELLS = 128
@@ -30,7 +31,7 @@ def without_crossings(
     by the next ones.
     """
     vertices_mm, is_new = vertices_mm.copy(), np.ones(len(vertices_mm), np.bool_)
-    safe_mm = None
+    safe_mm, is_back = None, np.zeros(len(vertices_mm), np.bool_)
     for repair in range(N_SMOOTHED + N_RETREATS):
         crossing = crossing_vertices(vertices_mm, faces, is_new)
         if not crossing.any():
@@ -51,6 +52,10 @@ def without_crossings(
             shifts_mm = vertices_mm - safe_mm
             shifts_mm[crossing] *= 1 - RETREAT
             _smooth(shifts_mm, around, moving)
+            if turn >= N_HALVED:
+                is_back |= crossing
+                shifts_mm[is_back] = 0.0
+                moving |= is_back
             vertices_mm = np.where(moving[:, None], safe_mm + shifts_mm, vertices_mm)
         is_new = moving  # what crossed has moved: triangles that stayed cross none that stayed
     return None
