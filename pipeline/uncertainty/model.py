@@ -35,6 +35,9 @@ HULL_EXCESS = 4.0
 UNSEEN_RISE, CAP_RISE = 0.15, 2.0
 """Distance, as a share of the mean radius, by which a patch that no view outlines is off at most: a sphere rises by
 0.13 over a chord of 60 degrees; and for each share of the surface that it covers, as a sphere's cap rises."""
+ANYWHERE = 1 / sqrt(3)
+"""Standard deviation of a body's border that is anywhere between where it is drawn and so far below, for each unit of
+that distance."""
 TEXTURE_SHARE = 0.15
 """Standard deviation of a stone's texture, as a share of the wall's level."""
 HIDDEN_PERCENT = 2.5
@@ -109,11 +112,12 @@ def uncertainty(evidence: Evidence) -> Uncertainty:
         Cause.HIDDEN: hypot(sqrt(pixels.blank_share) * dents_mm, refined_mm),
     }
     percent_per_mm = 100 * area_mm2 / volume_mm3
+    # views disagree each in its own way
+    common = dict.fromkeys(ALL_COMMON, 1.0) | {Cause.DISAGREEMENT: 1 / sqrt(len(evidence.views))}
     volume_percent = {
-        cause: percent_per_mm * sd_mm * (1.0 if cause in ALL_COMMON else COMMON_SHARE)
-        for cause, sd_mm in surface_mm.items()
+        cause: percent_per_mm * sd_mm * common.get(cause, COMMON_SHARE) for cause, sd_mm in surface_mm.items()
     }
-    volume_percent[Cause.UNSEEN] = percent_per_mm * unseen_mean_mm
+    volume_percent[Cause.UNSEEN] = ANYWHERE * percent_per_mm * unseen_mean_mm
     volume_percent[Cause.HIDDEN] = percent_per_mm * hypot(
         pixels.blank_share * dents_mm / DENT_FACTOR, REFINED_COMMON_SHARE * refined_mm
     )
