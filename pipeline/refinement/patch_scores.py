@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import Directions, Floats, Indices32, PointsMM, Singles, Values
 from pipeline.compiled import compiled, compiled_within
-from pipeline.refinement.passes import NOISE_LEFT, UNLIKE_SHARE, Pass
+from pipeline.refinement.passes import N_SAMPLES, NOISE_LEFT, UNLIKE_SHARE, Pass
 from pipeline.refinement.sightings import PhotoViews, project_into
 
 
@@ -37,10 +37,9 @@ def patch_scores(
 ) -> Annotated[Singles, "(K, L)"]:
     """Return the score of each patch at each depth along `inward` in a pass: mean ZNCC over pairs of views, 0 to 1.
 
-    Only the `pairs_share` of pairs that are most alike count: deep in a dent some views see its rim instead.
-    Patches without any texture, which are alike as far as one can tell, score `even_score` at most.
+    Patches without any texture, which are alike as far as one can tell, score `even_score`.
     """
-    gains, steps = patch_samples(each.n_samples)
+    gains, steps = patch_samples(N_SAMPLES)
     offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     weights = np.outer(gains, gains).ravel()
     unlike2 = np.full((len(views.noise), 1), UNLIKE_SHARE**2)
@@ -62,7 +61,6 @@ def patch_scores(
         (weights / weights.sum()).astype(np.float32),
         noise2.astype(np.float32),
         np.float32(each.even_score),
-        np.float32(each.pairs_share),
         scores,
     )
     return scores
@@ -85,7 +83,6 @@ def _score(
     gains: Singles,
     noise2: Singles,
     even_score: np.float32,
-    pairs_share: np.float32,
     scores: Singles,
 ) -> None:
     most, n_samples, n_depths = seen_by.shape[1], len(offsets_mm), len(depths_mm)
@@ -101,8 +98,6 @@ def _score(
     at_u, at_v = np.empty(n_depths, np.float32), np.empty(n_depths, np.float32)
     sums = np.empty(n_depths, np.float32)
     is_used = np.empty(most, np.bool_)
-    pairs = np.empty((most * (most - 1) // 2, n_depths), np.float32)
-    pair_weights = np.empty(len(pairs), np.float32)
     shift = (1 - scale) / 2  # centres of pixels are on integers in both sizes
     low_mm, high_mm = depths_mm[0], depths_mm[-1]
     middle_mm = (low_mm + high_mm) / 2
@@ -154,14 +149,12 @@ def _score(
             _normalize(greys[k], gains, noise2[view], sums, noises2[k], inverse_sd[k])
         if n_used < 2:
             continue
-        n_pairs = 0
         total_weight = np.float32(0)
         for k in range(most):
             for m in range(k):
                 if not (is_used[k] and is_used[m]):
                     continue
                 weight = weights[i, k] * weights[i, m]
-                pair_weights[n_pairs] = weight
                 total_weight += weight
                 one, other = greys[k], greys[m]
                 for depth in range(n_depths):
@@ -172,15 +165,9 @@ def _score(
                         sums[depth] += gain * one[q, depth] * other[q, depth]
                 for depth in range(n_depths):
                     alike = sums[depth] * inverse_sd[k, depth] * inverse_sd[m, depth]
-                    pairs[n_pairs, depth] = max(alike, np.float32(0))
-                n_pairs += 1
-        if pairs_share < 1:
-            _average_best(pairs[:n_pairs], pair_weights, pairs_share * total_weight, scores[i])
-        else:
-            for pair in range(n_pairs):
-                weight = pair_weights[pair] / total_weight
-                for depth in range(n_depths):
-                    scores[i, depth] += weight * pairs[pair, depth]
+                    scores[i, depth] += weight * max(alike, np.float32(0))
+        for depth in range(n_depths):
+            scores[i, depth] /= total_weight
 
 
 class _Room(NamedTuple):
@@ -255,21 +242,3 @@ def _normalize(
             inverse_sd[depth] += gain * greys[q, depth] * greys[q, depth]
     for depth in range(n_depths):
         inverse_sd[depth] = np.float32(1) / np.sqrt(inverse_sd[depth])
-
-
-@compiled_within
-def _average_best(pairs: Singles, weights: Singles, counted: np.float32, scores: Singles) -> None:
-    """Fill in the mean for each depth of the pairs (pairs, depths) that are most alike, as many as weigh `counted`."""
-    n_pairs, n_depths = pairs.shape
-    for depth in range(n_depths):
-        left = counted
-        while left > 0:
-            best = 0
-            for pair in range(1, n_pairs):
-                if pairs[pair, depth] > pairs[best, depth]:
-                    best = pair
-            weight = min(weights[best], left)
-            scores[depth] += weight * pairs[best, depth]
-            pairs[best, depth] = -1
-            left -= weight
-        scores[depth] /= counted

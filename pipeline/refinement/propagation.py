@@ -1,4 +1,4 @@
-"""Depths of all nodes together: min-sum belief propagation with a truncated linear cost between neighbours."""
+"""Depths of all nodes together: min-sum belief propagation with a linear cost between neighbours."""
 
 from typing import Annotated
 
@@ -12,16 +12,16 @@ N_ROUNDS = 6
 
 
 def propagate(
-    costs: Annotated[Singles, "(K, L)"], neighbours: Indices32, per_step: float, most: float
+    costs: Annotated[Singles, "(K, L)"], neighbours: Indices32, per_step: float
 ) -> Annotated[Singles, "(K, L)"]:
     """Return the cost of each depth of each node with what its neighbours say of it.
 
-    Neighbours whose depths differ pay `per_step` for each step of depth, and `most` at most.
+    Neighbours whose depths differ pay `per_step` for each step of depth.
     """
     reverse = np.full_like(neighbours, -1)
     beliefs = costs.copy()
     messages = np.zeros((*neighbours.shape, costs.shape[1]), np.float32)
-    _propagate(costs, neighbours, reverse, np.float32(per_step), np.float32(most), messages, beliefs)
+    _propagate(costs, neighbours, reverse, np.float32(per_step), messages, beliefs)
     return beliefs
 
 
@@ -31,7 +31,6 @@ def _propagate(
     neighbours: Indices32,
     reverse: Indices32,
     per_step: np.float32,
-    most: np.float32,
     messages: Singles,
     beliefs: Singles,
 ) -> None:
@@ -67,7 +66,7 @@ def _propagate(
                     sent[depth] = min(sent[depth], sent[depth + 1] + per_step)
                 j, m = neighbours[i, k], reverse[i, k]
                 for depth in range(n_depths):
-                    messages[j, m, depth] = min(sent[depth] - least, most)
+                    messages[j, m, depth] = sent[depth] - least
     for i in range(n_nodes):
         for k in range(n_links):
             if reverse[i, k] >= 0:

@@ -29,7 +29,7 @@ from pipeline.refinement.node_field import (
     without_spikes,
 )
 from pipeline.refinement.nodes import Nodes, smoothed, spread_nodes, vertex_normals, widened
-from pipeline.refinement.passes import NORMAL_ROUNDS, OLDER, PASSES, SURE
+from pipeline.refinement.passes import N_SAMPLES, NORMAL_ROUNDS, OLDER, PASSES, SURE
 from pipeline.refinement.patch_scores import patch_samples
 from pipeline.refinement.search import Found, Level, Photographed, search, search_again
 from pipeline.refinement.shift_field import Field, carried_over, vertex_shifts
@@ -138,7 +138,7 @@ def _finished(level: Level, found: Found, peaked_before: Values, stone: Photogra
     found, is_alike, is_new = search_again(level, found, stone)
     points_mm = level.points_mm(found.shifts_mm)
     sagittas_mm = patch_sagittas(
-        points_mm, facing(points_mm, nodes), nodes, half_mm, *patch_samples(level.each.n_samples)
+        points_mm, facing(points_mm, nodes), nodes, half_mm, *patch_samples(N_SAMPLES)
     )
     # what only larger patches show, as the bottom of a dent, stays as they found it
     older = OLDER * level.gate * np.clip(peaked_before / SURE - 1, 0, 1)

@@ -11,9 +11,11 @@ from pipeline.refinement.passes import (
     ALIKE_SHARE,
     FULL_SIZE_MM,
     LEAST_SCALE,
+    MAX_VIEWS,
     PIN,
     SEARCHED_AGAIN,
-    TRUNCATED_MM,
+    SPIKE_SLOPE,
+    STIFFNESS,
     UNLIKE,
     UNLIKE_RINGS,
     Pass,
@@ -48,7 +50,7 @@ class Level:
     @property
     def most_mm(self) -> float:
         """Distance of a node from the median of its neighbours that is believed."""
-        return self.each.spike_slope * self.nodes.spacing_mm
+        return SPIKE_SLOPE * self.nodes.spacing_mm
 
     def points_mm(self, shifts_mm: Values) -> PointsMM:
         """Return where the nodes lie, once shifted inward (K,)."""
@@ -131,18 +133,13 @@ def _search(
     each, nodes = level.each, level.nodes
     half_mm, depths_mm = stone.scale * each.half_mm, each.depths_mm(stone.size_mm)
     points_mm = level.points_mm(before_mm)
-    seen_by = sightings(stone.views, maps, points_mm, normals, half_mm, each.max_views)
+    seen_by = sightings(stone.views, maps, points_mm, normals, half_mm, MAX_VIEWS)
     patches = Patches(points_mm, -nodes.normals, tangent_axes(normals), half_mm, *seen_by)
     scores = patch_scores(stone.views, patches, depths_mm, each)
-    costs = level.gate[:, None] * (1 - scores) + each.staying * np.abs(depths_mm)
+    costs = level.gate[:, None] * (1 - scores)
     costs += PIN * level.touches[:, None] * np.abs(before_mm[:, None] + depths_mm)
-    stiffness = each.stiffness / nodes.spacing_mm
-    beliefs = propagate(
-        costs.astype(np.float32),
-        nodes.neighbours,
-        stiffness * float(depths_mm[1] - depths_mm[0]),
-        stiffness * TRUNCATED_MM,
-    )
+    per_step = STIFFNESS / nodes.spacing_mm * float(depths_mm[1] - depths_mm[0])
+    beliefs = propagate(costs.astype(np.float32), nodes.neighbours, per_step)
     steps_mm, sure, is_peak = depths_of(beliefs, scores, depths_mm, nodes, level.gate)
     likeness = scores[np.arange(len(beliefs)), beliefs.argmin(axis=1)]
     return Found(before_mm=before_mm, steps_mm=steps_mm, sure=sure, is_peak=is_peak, scores=likeness)

@@ -44,10 +44,8 @@ PASSES = {
     "FINE": passes.PASSES[-1],
     "AGAIN": passes.SEARCHED_AGAIN,
 }
-COUNTS = ("n_depths", "n_samples", "max_views", "scale")
-"""Fields of a pass that are numbers of something, or of the images: not lengths or limits to be halved."""
-ALONE = ("UNLIKE", "ALIKE_SHARE", "UNLIKE_SHARE", "DOUBTFUL", "OLDER", "SURE", "EVIDENCE", "PEAKED", "PIN",
-         "TOUCH_MM", "TRUNCATED_MM", "FULL_SIZE_MM")  # fmt: skip
+ALONE = ("OUTWARD_MM", "DEEPEST_SHARE", "STIFFNESS", "SPIKE_SLOPE", "FULL_SIZE_MM", "UNLIKE", "ALIKE_SHARE",
+         "UNLIKE_SHARE", "PEAKED", "EVIDENCE", "DOUBTFUL", "OLDER", "SURE", "PIN", "TOUCH_MM")  # fmt: skip
 MODULES = (node_field, passes, patch_scores, refine, search)
 N_SAMPLES = 4_000
 
@@ -73,9 +71,7 @@ class Errors:
 def changes(only: str) -> Iterator[Change]:
     """Yield all changes whose name has `only` in it, the one that leaves all as it is first."""
     yield Change("", "", 1.0)
-    constants = [
-        (of, field.name) for of in PASSES for field in fields(passes.Pass) if field.name not in COUNTS
-    ]
+    constants = [(of, field.name) for of in PASSES for field in fields(passes.Pass) if field.name != "scale"]
     for of, name in [*constants, *(("", name) for name in ALONE)]:
         value = getattr(PASSES[of] if of else passes, name)
         if only in f"{of} {name}" and 0 < value < np.inf:
