@@ -38,12 +38,9 @@ from service.processing.models.networks import read_model
 from service.processing.segmenters import SegmenterPlan, build_segmenter
 
 OBJECTS = "granite, wet;basalt 18;conglomerate;half black, half pale;cube"
-PASSES = {
-    "COARSE": passes.COARSE,
-    "MIDDLE": passes.MIDDLE,
-    "FINE": passes.PASSES[-1],
-    "AGAIN": passes.SEARCHED_AGAIN,
-}
+PASSES = dict(
+    zip(("COARSE", "MIDDLE", "FINE", "AGAIN"), (*passes.PASSES, passes.SEARCHED_AGAIN), strict=True)
+)
 ALONE = ("OUTWARD_MM", "DEEPEST_SHARE", "STIFFNESS", "SPIKE_SLOPE", "FULL_SIZE_MM", "UNLIKE", "ALIKE_SHARE",
          "UNLIKE_SHARE", "PEAKED", "EVIDENCE", "DOUBTFUL", "OLDER", "SURE", "PIN", "TOUCH_MM")  # fmt: skip
 MODULES = (node_field, passes, patch_scores, refine, search)

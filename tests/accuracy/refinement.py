@@ -124,7 +124,7 @@ def table(name: str, size_mm: float, scene: EvaluationScene) -> Table:
             f"{after_mm:.4f}",
             f"{largest_mm:.2f}",
             f"{after:+.2f}",
-            f"{100 * refined.supported_share:.0f} %" if refined.fallback is None else refined.fallback,
+            f"{100 * refined.support.share:.0f} %" if refined.fallback is None else refined.fallback,
             f"{min(times_ms[1:]):.0f}",
             f"{min(texture_ms[1:]):.1f}",
         )
