@@ -71,9 +71,16 @@ def open_(options: OpenOptions, daemon: DaemonClient, as_json: AsJson = False) -
 
 @command.command()
 @with_options
-def close(lot: Lot, tonnage_t: float | None = None, *, daemon: DaemonClient, as_json: AsJson = False) -> None:
+def close(
+    lot: Lot,
+    tonnage_t: float | None = None,
+    wait_s: Annotated[float, typer.Option(help="Longest wait for the last stones and the verdict.")] = 20.0,
+    *,
+    daemon: DaemonClient,
+    as_json: AsJson = False,
+) -> None:
     """Close a lot; what fell before stays in it."""
-    _show(daemon.ask(f"/lots/{quote(lot)}/close", {"tonnage_t": tonnage_t}), as_json)
+    _show(daemon.ask(f"/lots/{quote(lot)}/close?wait_s={wait_s:g}", {"tonnage_t": tonnage_t}), as_json)
 
 
 @command.command()
@@ -218,4 +225,8 @@ def curve_table(figures: dict[str, Any]) -> Table:
 
 def _show(lot: dict[str, Any], as_json: bool) -> None:
     text = f"lot {lot['lot']} of {lot['product']} is {lot['state']}: {lot['n_stones']} stones"
+    if lot["in_progress"]:
+        text += f", {lot['in_progress']} without an outcome yet"
+    if (said := lot["completion"]) is not None:
+        text += f"; revision {said['revision']} is final: {said['verdict'] or 'no specification'}"
     typer.echo(json.dumps(lot) if as_json else text)

@@ -15,6 +15,7 @@ from service.configuration.segmentation_settings import plan_segmenter
 from service.daemon.alarming import acquisition_changed, verification_ended
 from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import LoopWatch
+from service.daemon.lot_files import issued_reports
 from service.daemon.overview.result_delays import ResultDelays
 from service.daemon.parts import parts_of
 from service.daemon.reloading import Configuration
@@ -114,7 +115,8 @@ async def build(configured: Configuration, store: Store, reading: Reading, reque
         webhooks=await open_webhooks(store, settings.webhooks),
     )
     file_drop = await open_file_drop(store, settings.file_drop)
-    daemon.parts.extend(parts_of(daemon, file_drop, reading, requests))
+    drops = (file_drop, issued_reports(store))
+    daemon.parts.extend(parts_of(daemon, drops, reading, requests))
     return daemon
 
 

@@ -1,20 +1,28 @@
-"""The files of a closed lot for the drop folder, made in the process `stonefall-read`."""
+"""The files of a closed lot, for the drop folder and as its issued report, made in the process `stonefall-read`."""
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
+from sqlite3 import Connection
 
+from drivers.files.times import utc_now
 from service.base.errors import ServiceError, WorkerFailure
-from service.delivery.file_drop import LotFiles, MakeFiles
+from service.delivery.file_drop import FileDrop, LotFiles, MakeFiles, Purpose
 from service.delivery.settings import DropFormat, FileDropSettings
+from service.lots.lots import LotCompletion, complete_lot, uncompleted_lots
 from service.lots.shifts import LotsSettings
 from service.lots.yardsticks import Request
 from service.processing.worker_process import worker_boundary
-from service.reports.lot_reports import RENDERERS, ReportRequest, RigStanding, report_data
+from service.reports.lot_reports import ISSUED, RENDERERS, ReportRequest, RigStanding, report_data
 from service.reports.report import ReportFormat
 from service.store import Store
 from service.store.schema import connect_reader
 from service.web.control import Control
 from service.web.reader_process import Reading
+from service.web.version import BASE
+
+OUTCOME = ("verdict", "is_partial", "measured", "rejected", "lost")
+"""Fields of the figures that a completed lot states."""
 
 
 class FilesFailedError(ServiceError):
@@ -25,9 +33,10 @@ def files_maker(store: Store, control: Control, reading: Reading) -> MakeFiles:
     """Return the function that makes the files of a lot in the reading process."""
 
     async def make_files(lot: str, settings: FileDropSettings) -> LotFiles | None:
+        lots = control.part(LotsSettings)
         wanted = ReportRequest(
-            figures=Request(measured=control.part(LotsSettings).measured),
-            language=settings.language,
+            figures=Request(measured=lots.measured),
+            language=settings.language or lots.report_language,
             rig=control.part(RigStanding),
         )
         return await reading.run(lot_files, store.path, store.particles_dir, lot, wanted, settings.formats)
@@ -53,6 +62,27 @@ def lot_files(
                 else RENDERERS[ReportFormat(each)](data)
                 for each in formats
             }
-            return LotFiles(revision=data.figures.lot.revision, content=content)
+            outcome = {name: getattr(data.figures, name) for name in OUTCOME}
+            return LotFiles(revision=data.figures.lot.revision, content=content, outcome=outcome)
     except WorkerFailure as failure:
         raise FilesFailedError(str(failure).strip().rpartition("\n")[2]) from None
+
+
+def issued_reports(store: Store) -> FileDrop:
+    """Return the writer of the report of each revision of a closed lot, which is completed by it."""
+    folder = store.dir / ISSUED
+    folder.mkdir(exist_ok=True)
+    wanted = FileDropSettings(dir=folder, formats=(DropFormat.PDF,))
+    return FileDrop(store, wanted, Purpose(check="issued_reports", due=uncompleted_lots, note=note_issued))
+
+
+def note_issued(connection: Connection, lot: str, files: LotFiles) -> None:
+    """Complete a revision of a lot within a transaction: its report is durable."""
+    completion = LotCompletion(
+        **files.outcome,
+        revision=files.revision,
+        at=utc_now(),
+        report=f"{BASE}/lots/{lot}/report.pdf?revision={files.revision}",
+        report_sha256=hashlib.sha256(files.content[DropFormat.PDF]).hexdigest(),
+    )
+    complete_lot(connection, lot, completion)

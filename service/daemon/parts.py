@@ -3,6 +3,7 @@
 import asyncio
 import logging
 import time
+from collections.abc import Sequence
 from functools import partial
 
 from service.acquisition.acquisition import Acquisition
@@ -31,7 +32,9 @@ ARCHIVE_S = 5.0
 """Longest wait for frames that are still to be archived, which no result needs."""
 
 
-def parts_of(daemon: Daemon, file_drop: FileDrop, reading: Reading, requests: StopRequests) -> list[Part]:
+def parts_of(
+    daemon: Daemon, drops: Sequence[FileDrop], reading: Reading, requests: StopRequests
+) -> list[Part]:
     """Return the parts in the order in which they start; they end in reverse order.
 
     What keeps and delivers results ends after what makes them, which ends after the rig: a stop loses nothing that it
@@ -43,6 +46,7 @@ def parts_of(daemon: Daemon, file_drop: FileDrop, reading: Reading, requests: St
     processing, acquisition = daemon.processing, daemon.acquisition
     alarming = Alarming(daemon.alarms, session.events)
     backing_up = BackingUp(store, session.settings.store)
+    make_files = files_maker(store, daemon, reading)
     return [
         Part(run=watches.loop.run, checks=watches.loop.checks),
         Part(run=partial(alarming.run, daemon.health), close=partial(_end_alarming, session.events)),
@@ -50,7 +54,7 @@ def parts_of(daemon: Daemon, file_drop: FileDrop, reading: Reading, requests: St
         Part(run=backing_up.run, checks=backing_up.checks, use=lambda new: backing_up.use(new.store)),
         Part(run=retaining.run, checks=retaining.checks, use=lambda new: retaining.use(new.store.retention)),
         Part(run=daemon.webhooks.run, checks=daemon.webhooks.checks),
-        Part(run=partial(file_drop.run, files_maker(store, daemon, reading)), checks=file_drop.checks),
+        *(Part(run=partial(each.run, make_files), checks=each.checks) for each in drops),
         Part(
             run=partial(lose_all_crashed, store, session.left),
             checks=lambda: store_checks(store, daemon.spool.n_waiting),

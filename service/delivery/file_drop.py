@@ -1,7 +1,7 @@
 """Write files of closed lots into a folder, each revision of a lot once; what could not be written is made up for.
 
 Which revision of a lot is written is noted in the store after its files are durable: after a crash in between they are
-written again, under the same names.
+written again, under the same names. Files of `[file_drop]` and issued reports, which complete a lot, come about so.
 """
 
 import asyncio
@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from drivers.files.durable import remove_unfinished, write_file
 from drivers.files.times import utc_now
@@ -25,7 +26,7 @@ log = logging.getLogger(__name__)
 
 RETRY_S = 30.0
 """Pause before a folder that took no file is tried again."""
-LOOK_S = 1.0
+LOOK_S = 0.2
 """Time between two looks at a lot whose last stones are still being measured."""
 ANSWER_S = 30.0
 """A folder that has not taken a file for so long does not answer."""
@@ -37,39 +38,55 @@ class LotFiles:
 
     revision: int
     content: Mapping[DropFormat, bytes]
+    outcome: Mapping[str, Any]
+    """Verdict and counts of the lot, for what is noted of them."""
 
 
 MakeFiles = Callable[[str, FileDropSettings], Awaitable[LotFiles | None]]
 """Returns the files of a lot, in all formats; None if there is no such lot."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Purpose:
+    """What files of lots are written for."""
+
+    check: str
+    """Check of health that tells of trouble."""
+    due: Callable[[sqlite3.Connection], dict[str, bool]]
+    """Reads the lots whose revision is not written, oldest first; True: all stones have outcomes, so it may be."""
+    note: Callable[[sqlite3.Connection, str, LotFiles], None]
+    """Notes within a transaction that files of a lot are durable."""
+
+
 async def open_file_drop(store: Store, settings: FileDropSettings | None) -> "FileDrop":
-    """Return the file drop, as an earlier run of the daemon has left it."""
+    """Return the file drop of the plant's folder, as an earlier run of the daemon has left it."""
     if settings is not None:
         await store.write(begin_file_drop)
     return FileDrop(store, settings)
 
 
 class FileDrop:
-    """Writes the files of closed lots, made by `open_file_drop`: `run` is its task, `trouble` says why it cannot."""
+    """Writes the files of closed lots: `run` is its task, `trouble` says why it cannot."""
 
     def __init__(
         self,
         store: Store,
         settings: FileDropSettings | None,
+        purpose: Purpose | None = None,
         *,
         retry_s: float = RETRY_S,
         answer_s: float = ANSWER_S,
     ) -> None:
         self._store = store
         self._settings = settings
+        self._purpose = purpose or FOR_THE_PLANT
         self._retry_s = retry_s
         self._answer_s = answer_s
         self._is_first = True
         self.trouble: str | None = None
 
     def checks(self) -> Checks:
-        return {"file_drop": trouble_check(self.trouble)}
+        return {self._purpose.check: trouble_check(self.trouble)}
 
     async def run(self, make_files: MakeFiles) -> None:
         """Write what is due whenever something is, until waiting in the store is ended."""
@@ -87,7 +104,7 @@ class FileDrop:
         troubles = []
         due: dict[str, bool] = {}
         try:
-            due = await self._store.read(due_lots)
+            due = await self._store.read(self._purpose.due)
             for lot in (lot for lot, is_complete in due.items() if is_complete):
                 try:
                     await self._drop(settings, lot, make_files)
@@ -99,7 +116,7 @@ class FileDrop:
             troubles.append(f"{settings.dir}: {err.strerror or err}")
         trouble = "; ".join(troubles) or None
         if trouble is not None and trouble != self.trouble:
-            log.error("file drop: %s", trouble)
+            log.error("%s: %s", self._purpose.check, trouble)
         self.trouble = trouble
         if trouble is not None:
             return self._retry_s
@@ -118,10 +135,10 @@ class FileDrop:
         )
         while not (await asyncio.wait([writing], timeout=self._answer_s))[0]:
             self.trouble = f"{settings.dir} has not answered for {self._answer_s:g} s"
-            log.error("file drop: %s", self.trouble)
+            log.error("%s: %s", self._purpose.check, self.trouble)
         writing.result()
         self._is_first = False
-        await self._store.write(note_dropped, lot, files.revision)
+        await self._store.write(self._purpose.note, lot, files)
         log.info("files of a lot written lot=%s revision=%d dir=%s", lot, files.revision, settings.dir)
 
 
@@ -162,8 +179,13 @@ def due_lots(connection: sqlite3.Connection) -> dict[str, bool]:
     return {lot: bool(is_complete) for lot, is_complete in rows}
 
 
-def note_dropped(connection: sqlite3.Connection, lot: str, revision: int) -> None:
+def note_dropped(connection: sqlite3.Connection, lot: str, files: LotFiles) -> None:
     """Note that the files of a revision are written."""
     connection.execute(
-        "INSERT OR REPLACE INTO dropped_lots (lot, revision, at) VALUES (?, ?, ?)", (lot, revision, utc_now())
+        "INSERT OR REPLACE INTO dropped_lots (lot, revision, at) VALUES (?, ?, ?)",
+        (lot, files.revision, utc_now()),
     )
+
+
+FOR_THE_PLANT = Purpose(check="file_drop", due=due_lots, note=note_dropped)
+"""What `[file_drop]` asks for."""

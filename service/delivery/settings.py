@@ -165,7 +165,7 @@ class FileDropSettings:
 
     dir: ConfiguredPath
     formats: tuple[DropFormat, ...] = (DropFormat.CSV,)
-    language: Language = Language.ENGLISH  # of PDF and workbook
+    language: Language | None = None  # of PDF and workbook; that of issued reports when absent
     must_be_mounted: bool = False  # nothing is written while no file system is mounted at `dir`
 
     def __post_init__(self) -> None:

@@ -1,4 +1,8 @@
-"""Lots in the words of ISA-95: opened, closed, voided; at most one is open, and takes every stone that falls."""
+"""Lots in the words of ISA-95: opened, closed, voided; at most one is open, and takes every stone that falls.
+
+A closed lot is final for its revision once all its stones have outcomes: then it is completed, with its verdict and an
+issued report. What changes its figures later is another revision, which is completed anew.
+"""
 
 import json
 import sqlite3
@@ -10,6 +14,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from drivers.files.times import utc_now
+from pipeline.gradation.specification import Verdict
 from service.base.errors import ProblemError, ProblemKind
 from service.base.ids import NEW_ID
 from service.base.schema import Name, OptionalTime, Remark, Time, request_body
@@ -28,6 +33,8 @@ class LotState(StrEnum):
     """State of a lot."""
 
     OPEN = "open"
+    CLOSING = "closing"
+    """Closed, and stones of it have no outcome yet."""
     CLOSED = "closed"
     VOID = "void"
 
@@ -52,11 +59,30 @@ class LotDefinition:
     """Whatever else the plant says of it."""
 
 
+class LotCompletion(Report):
+    """What was said of a closed lot once all its stones had outcomes: final for this revision."""
+
+    revision: int = Field(
+        description="Revision of the lot that this is of; of an older one while it is made anew"
+    )
+    at: Time = Field(description="When it was completed, RFC 3339 UTC")
+    verdict: Verdict | None = Field(description="Null without a specification")
+    is_partial: bool = Field(description="True when some figures of the specification were not measured")
+    measured: int = Field(description="Stones with a body and its measures")
+    rejected: int = Field(description="Stones whose views were found unfit")
+    lost: int = Field(description="Stones whose views were never looked at")
+    report: str = Field(description="Address of the issued report, a PDF that stays as it is")
+    report_sha256: str = Field(description="SHA-256 of this report, in hexadecimal digits")
+
+
 class LotDocument(Report):
     """A lot in the words of ISA-95."""
 
     lot: str = Field(description="Material lot")
-    state: LotState = Field(description="`open`: takes what falls; `closed`; `void`: counts no more")
+    state: LotState = Field(
+        description="`open`: takes what falls; `closing`: closed, and some stones have no outcome yet; `closed`;"
+        " `void`: counts no more"
+    )
     product: str = Field(description="Material definition")
     product_version: int = Field(description="Version of the product that the lot was opened with")
     equipment: str | None = Field(description="The crusher or belt that it comes from")
@@ -71,7 +97,22 @@ class LotDocument(Report):
     revision: int = Field(
         description="0 while it is open; 1 when it is closed, and one more with each change after that"
     )
-    n_stones: int = Field(description="Stones that fell, whatever became of them")
+    n_stones: int = Field(description="Stones that fell and have an outcome, whatever became of them")
+    in_progress: int = Field(default=0, description="Stones that fell and have no outcome yet")
+    completion: LotCompletion | None = Field(
+        default=None,
+        description="Verdict and report, once all stones have outcomes: final if of this `revision`; null before",
+    )
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it takes no more stones and counts, though some may have no outcome yet."""
+        return self.state in (LotState.CLOSING, LotState.CLOSED)
+
+    @property
+    def is_final(self) -> bool:
+        """Whether verdict and report of this very revision are said."""
+        return self.completion is not None and self.completion.revision == self.revision
 
 
 class LotConflictError(ProblemError):
@@ -123,7 +164,7 @@ def close_lot(
 ) -> LotDocument | None:
     """Close a lot; what fell until now stays in it. A closed one is returned as it is; None if there is none."""
     before = find_lot(connection, lot)
-    if before is None or before.state is LotState.CLOSED:
+    if before is None or before.is_closed:
         return before
     if before.state is LotState.VOID:
         raise LotConflictError(f"lot {lot} is void")
@@ -184,6 +225,23 @@ def note_revised(connection: sqlite3.Connection, lot: str) -> None:
         _note_event(connection, EventType.LOT_REVISED, _existing(connection, lot))
 
 
+def uncompleted_lots(connection: sqlite3.Connection) -> dict[str, bool]:
+    """Return the closed lots whose revision is not completed, oldest first; True: all its stones have outcomes."""
+    found = _lots(connection, "state = 'closed' AND completed_revision < revision", (), MOST_RUNS)[::-1]
+    return {each.lot: each.state is LotState.CLOSED for each in found}
+
+
+def complete_lot(connection: sqlite3.Connection, lot: str, completion: LotCompletion) -> None:
+    """Note within a transaction that a revision of a closed lot is final; nothing happens if it has changed since."""
+    completed = connection.execute(
+        "UPDATE lots SET completed_revision = ?1, completion = ?2"
+        " WHERE lot = ?3 AND state = 'closed' AND revision = ?1",
+        (completion.revision, completion.model_dump_json(), lot),
+    )
+    if completed.rowcount:
+        _note_event(connection, EventType.LOT_COMPLETED, _existing(connection, lot))
+
+
 def _revise_closed(connection: sqlite3.Connection, lot: str) -> bool:
     update = "UPDATE lots SET revision = revision + 1 WHERE lot = ? AND state = 'closed'"
     return connection.execute(update, (lot,)).rowcount > 0
@@ -207,7 +265,7 @@ def lots(
     limit: int,
 ) -> list[LotDocument]:
     """Return up to `limit` lots that fit, opened before a time, newest first."""
-    conditions = {"state = ?": state, "product = ?": product, "opened_at < ?": before}
+    conditions = {"shown_state = ?": state, "product = ?": product, "opened_at < ?": before}
     given = {text: value for text, value in conditions.items() if value is not None}
     return _lots(connection, " AND ".join(given) or "TRUE", tuple(given.values()), limit)
 
@@ -216,15 +274,20 @@ def _lots(
     connection: sqlite3.Connection, condition: str, values: tuple[object, ...], limit: int
 ) -> list[LotDocument]:
     rows = connection.execute(
-        "SELECT definition, state, product, version AS product_version, opened_at, closed_at, void_reason, revision,"  # noqa: S608 - of this module
-        " (SELECT coalesce(sum(n_stones), 0) FROM stones WHERE stones.lot = lots.lot) AS n_stones"
-        f" FROM lots WHERE {condition} ORDER BY opened_at DESC, lot LIMIT ?",
+        "SELECT definition, shown_state AS state, product, version AS product_version, opened_at, closed_at,"  # noqa: S608 - of this module
+        " void_reason, revision, completion, in_progress,"
+        " (SELECT coalesce(sum(n_stones), 0) FROM stones WHERE stones.lot = shown.lot) AS n_stones"
+        " FROM (SELECT *, iif(state = 'closed' AND in_progress > 0, 'closing', state) AS shown_state FROM (SELECT *,"
+        " (SELECT coalesce(sum(n), 0) FROM triggers WHERE triggers.state = 'open' AND triggers.lot = lots.lot)"
+        f" AS in_progress FROM lots)) AS shown WHERE {condition} ORDER BY opened_at DESC, lot LIMIT ?",
         (*values, limit),
     )
-    return [
-        LotDocument(**asdict(LotDefinition(**json.loads(row.pop("definition")))), **row)
-        for row in rows_by_name(rows)
-    ]
+    return [_document(**row) for row in rows_by_name(rows)]
+
+
+def _document(definition: str, completion: str | None, **row: Any) -> LotDocument:
+    said = None if completion is None else LotCompletion.model_validate_json(completion)
+    return LotDocument(**asdict(LotDefinition(**json.loads(definition))), completion=said, **row)
 
 
 def definition_of(lot: LotDocument | LotDefinition) -> LotDefinition:

@@ -6,15 +6,17 @@ from dataclasses import dataclass
 from datetime import datetime, time, timedelta
 
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
+from service.base.language import Language
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LotsSettings:
-    """`[lots]` of the configuration: sizes that are measured, and when shifts begin."""
+    """`[lots]` of the configuration: sizes that are measured, when shifts begin, the language of issued reports."""
 
     min_mm: float = OF_THE_RIG.min_mm  # smaller stones may pass unseen: their passing is not measured
     max_mm: float = OF_THE_RIG.max_mm  # larger ones may be cut
     shift_starts: tuple[str, ...] = ("06:00", "14:00", "22:00")
+    report_language: Language = Language.ENGLISH  # of the report that is issued when a lot is complete
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_mm < self.max_mm:

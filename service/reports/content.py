@@ -75,6 +75,8 @@ def banners(data: ReportData, say: Words) -> Iterator[str]:
         yield say("banner.void", reason=abridged(lot.void_reason or DASH))
     if lot is not None and lot.state is LotState.OPEN:
         yield say("banner.open")
+    if lot is not None and lot.state is LotState.CLOSING:
+        yield say("banner.closing")
 
 
 def _is_void(lot: LotDocument | None) -> bool:

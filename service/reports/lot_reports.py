@@ -32,6 +32,8 @@ RENDERERS: Mapping[ReportFormat, Callable[[ReportData], bytes]] = {
     ReportFormat.XLSX: render_xlsx,
 }
 """Functions from the data of a report to its file; the same data gives the same bytes."""
+ISSUED = "issued"
+"""Folder of the store with the issued reports, as `LOT-REVISION.pdf`."""
 MATTER = {
     GalleryReason.HEAVIEST: ("volume_mm3 DESC", 3),
     GalleryReason.LARGEST: ("sieve_size_mm DESC", 2),
@@ -79,6 +81,14 @@ def lot_report(
     """Return the report of a lot, None if there is none."""
     data = report_data(connection, particles_dir, lot, wanted, has_pictures=True)
     return None if data is None else RENDERERS[report_format](data)
+
+
+def issued_report(store_dir: Path, lot: str, revision: int) -> bytes | None:
+    """Return the report that was issued for a revision of a lot, None if there is none; blocks."""
+    try:
+        return (store_dir / ISSUED / f"{lot}-{revision}.pdf").read_bytes()
+    except FileNotFoundError:
+        return None
 
 
 def report_data(

@@ -22,6 +22,8 @@ class EventType(StrEnum):
 
     LOT_OPENED = "lot.opened"
     LOT_CLOSED = "lot.closed"
+    LOT_COMPLETED = "lot.completed"
+    """All stones of this closed lot have outcomes: this revision's figures are final, and its report is issued."""
     LOT_VOIDED = "lot.voided"
     LOT_ASSIGNED = "lot.assigned"
     """Stones that were in no lot are in this one now."""

@@ -41,7 +41,7 @@ async def test_a_lot_has_what_falls_while_it_is_open(
     await add(store, session, 3, rejected("clipped"))
     await store.record_triggers(session, {"00000004": trigger(4)})  # falls now, is measured after the end
     closed = (await client.post("/lots/L1/close", json={"tonnage_t": 21.5})).json()
-    assert (closed["state"], closed["tonnage_t"], closed["sampler"]) == ("closed", 21.5, "A. Miller")
+    assert (closed["state"], closed["tonnage_t"], closed["sampler"]) == ("closing", 21.5, "A. Miller")
     await store.finish(session, "00000004", stone(12.0, body="estimate", refinement_fallback=RUSH))
     await add(store, session, 5, stone(13.0))
     figures = (await client.get("/lots/L1/gradation")).json()

@@ -67,6 +67,8 @@ EXAMPLES: Mapping[type, Mapping[str, Any]] = {
         "void_reason": None,
         "revision": 0,
         "n_stones": 312,
+        "in_progress": 1,
+        "completion": None,
     },
     SievingRequest: {"retained_g": {"16": 12.5, "12.5": 410.0, "8": 530.5}, "pan_g": 21.0, "by": "B. Smith"},
     Cursor: {"after": 1234},

@@ -1,8 +1,10 @@
 """Lots of the plant: opened, closed, voided; the stones that are assigned to them."""
 
+import asyncio
 import re
 import sqlite3
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Response
@@ -35,8 +37,8 @@ from service.web.version import BASE
 router = APIRouter(prefix="/lots", tags=["lots"])
 
 LotName = Annotated[str, Path(pattern=ID, description="Id of the lot")]
-STONES = re.compile('-[0-9]+(?=")')
-"""The number of stones in the tag of a lot."""
+STONES = re.compile('-[0-9]+-[0-9]+-[0-9]+(?=")')
+"""The numbers of stones in the tag of a lot, and the revision that is completed."""
 Change = Callable[[Callable[..., LotDocument | None], object], Awaitable[LotDocument]]
 """Makes a change of a lot, such as `close_lot`, with what is given for it; returns the lot after it."""
 
@@ -143,9 +145,33 @@ async def change_of(
 
 
 @router.post("/{lot}/close", response_model=LotDocument, dependencies=OPERABLE)
-async def post_close(wanted: CloseRequest, changed: Annotated[Change, Depends(change_of)]) -> LotDocument:
-    """Close a lot; what fell before stays in it, though it is measured later. A closed one stays as it is."""
-    return await changed(close_lot, wanted.tonnage_t)
+async def post_close(
+    context: Context,
+    wanted: CloseRequest,
+    changed: Annotated[Change, Depends(change_of)],
+    response: Response,
+    wait_s: Annotated[
+        float,
+        Query(
+            ge=0,
+            le=300,
+            description="Longest wait for the last stones' outcomes, the verdict and the report, s",
+        ),
+    ] = 0.0,
+) -> LotDocument:
+    """Close a lot; what fell before stays in it, though it is measured later. A closed one stays as it is.
+
+    Figures are final once `completion` is of this `revision`: `wait_s` waits for that, `lot.completed` is its event.
+    """
+    record = await changed(close_lot, wanted.tonnage_t)
+    with suppress(TimeoutError):
+        async with asyncio.timeout(wait_s):
+            while record.is_closed and not record.is_final and not context.store.is_released:
+                last_event = context.store.last_event
+                record = existing(await context.store.read(find_lot, record.lot), "lot", record.lot)
+                if not record.is_final:
+                    await context.store.wait_for_event(last_event)
+    return _served(response, record)
 
 
 @router.post("/{lot}/void", response_model=LotDocument, dependencies=OPERABLE)
@@ -168,9 +194,16 @@ def _served(response: Response, record: LotDocument) -> LotDocument:
 
 
 def _tag(record: LotDocument) -> str:
-    """Return the version of a lot: what the plant says of it, and how many stones it has."""
-    return f'{_tag_of_facts(record)[:-1]}-{record.n_stones}"'
+    """Return the version of a lot: what the plant says of it, how many stones it has, and what is completed."""
+    completed = 0 if record.completion is None else record.completion.revision
+    return f'{_tag_of_facts(record)[:-1]}-{record.n_stones}-{record.in_progress}-{completed}"'
 
 
 def _tag_of_facts(record: LotDocument) -> str:
-    return etag(facts_of(record) | {"n_stones": 0})
+    """Return the version of what people say of a lot: its stones come by themselves."""
+    by_itself = {"n_stones": 0, "in_progress": 0, "completion": None, "state": LotState.CLOSED}
+    return (
+        etag(facts_of(record) | by_itself)
+        if record.is_closed
+        else etag(facts_of(record) | by_itself | {"state": record.state})
+    )

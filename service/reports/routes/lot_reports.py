@@ -1,5 +1,6 @@
 """The reports of lots, and their gradation curves as drawings: the very ones of the report, for pages."""
 
+import asyncio
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Response
@@ -15,6 +16,7 @@ from service.reports.lot_reports import (
     CurveRequest,
     ReportRequest,
     RigStanding,
+    issued_report,
     lot_curve_svg,
     lot_report,
     window_curve_svg,
@@ -24,6 +26,7 @@ from service.reports.words import words
 from service.web.auth import READABLE
 from service.web.context import ApiContext, Context
 from service.web.etags import Responses
+from service.web.feeds import MAX_SEQ
 from service.web.negotiation import negotiated
 from service.web.problems import existing, problem_responses
 from service.web.shared_documents import SVG, shared, svg_answer
@@ -59,8 +62,18 @@ async def report_file(
     report_format: Annotated[ReportFormat, Path(description="Format of the file")],
     measuring: Measuring,
     language: ReportLanguage = Language.ENGLISH,
+    revision: Annotated[
+        int | None,
+        Query(
+            ge=1,
+            le=MAX_SEQ,
+            description="The PDF that was issued for this revision of a closed lot, as it was then",
+        ),
+    ] = None,
 ) -> Response:
-    """Download the report of a lot as a file of this format."""
+    """Download the report of a lot as a file of this format: as of now, or the one that was issued for a revision."""
+    if revision is not None:
+        return await _issued(context, lot, report_format, revision)
     return await _report(context, lot, report_format, language, measuring)
 
 
@@ -69,9 +82,21 @@ async def _report(
 ) -> Response:
     wanted = ReportRequest(figures=measuring, language=language, rig=context.part(RigStanding))
     content = await context.read_beside(lot_report, context.store.particles_dir, lot, wanted, report_format)
-    name = f'inline; filename="{lot}.{report_format}"'
-    headers = {"Content-Disposition": name, "Vary": "Accept", "Content-Security-Policy": REPORT_POLICY}
-    return Response(existing(content, "lot", lot), media_type=MEDIA_TYPES[report_format], headers=headers)
+    return _answer(existing(content, "lot", lot), lot, report_format)
+
+
+def _answer(content: bytes, name: str, report_format: ReportFormat) -> Response:
+    shown = f'inline; filename="{name}.{report_format}"'
+    headers = {"Content-Disposition": shown, "Vary": "Accept", "Content-Security-Policy": REPORT_POLICY}
+    return Response(content, media_type=MEDIA_TYPES[report_format], headers=headers)
+
+
+async def _issued(context: ApiContext, lot: str, report_format: ReportFormat, revision: int) -> Response:
+    existing(await context.store.read(find_lot, lot), "lot", lot)
+    is_issued = report_format is ReportFormat.PDF
+    content = await asyncio.to_thread(issued_report, context.store.dir, lot, revision) if is_issued else None
+    found = existing(content, "report", f"{lot}-{revision}.{report_format}")
+    return _answer(found, f"{lot}-{revision}", report_format)
 
 
 async def curve_request_of(

@@ -143,7 +143,17 @@ def test_a_healthy_rig_is_good_and_ready_and_its_checks_are_in_the_order_of_thei
             "workers",
         ),
         *("quarantine", "background", "segmentation", "calibration", "drops", "store", "disk", "disk_days"),
-        *("retention", "backup", "keys", "recording", "archive", "webhooks", "file_drop", "configuration"),
+        *(
+            "retention",
+            "backup",
+            "keys",
+            "recording",
+            "archive",
+            "webhooks",
+            "file_drop",
+            "issued_reports",
+            "configuration",
+        ),
         *("rig", "optics", "refinement"),
     ]
     assert {check.status for check in health.checks.values()} == {CheckStatus.PASS}

@@ -211,6 +211,10 @@ def test_what_was_not_measured_is_never_a_zero() -> None:
         ({"is_replay": True}, "REPLAY of a recording – not production"),
         ({"lot": lot_document(state=LotState.VOID, void_reason="wrong product")}, "VOID – wrong product"),
         ({"lot": lot_document(state=LotState.OPEN)}, "PRELIMINARY – the lot is still open"),
+        (
+            {"lot": lot_document(state=LotState.CLOSING)},
+            "PRELIMINARY – stones of the lot are still being measured",
+        ),
     ],
 )
 def test_what_is_no_production_or_does_not_count_says_so_first(

@@ -187,7 +187,9 @@ async def test_stones_of_an_earlier_schema_tell_their_bodies_as_far_as_their_rec
         old.executescript(
             """INSERT INTO sessions SELECT * FROM today.sessions;
             INSERT INTO products SELECT * FROM today.products;
-            INSERT INTO lots SELECT * FROM today.lots;
+            INSERT INTO lots
+                SELECT lot, state, product, version, definition, opened_at, closed_at, void_reason, revision
+                FROM today.lots;
             INSERT INTO triggers
                 SELECT trigger, session, bundle, sequence, kind, captured_at, state, lot FROM today.triggers;
             INSERT INTO results (seq, id, trigger, session, record)
