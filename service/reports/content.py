@@ -119,7 +119,7 @@ def countdown(data: ReportData, say: Words) -> Iterator[str]:
                 verdict=say.known("verdict", decision.verdict),
                 figure=with_interval(figure, 1, say),
                 limits=limits(decision, say),
-            ) + _more(decision, say)
+            ) + (_more(decision, say) if figures.lot is None or figures.lot.state is LotState.OPEN else "")
         if decision.asks_declaration:
             yield say("verdict_box.declare", name=name, limits=limits(decision, say))
     if judged and all(decision.verdict is Verdict.CONFORMS for _, decision, _ in judged):

@@ -128,7 +128,7 @@ def test_a_report_says_all_that_is_signed_for() -> None:
     for said in (
         "Gradation of lot 2026-04711",
         "Undecided (as far as measured)",
-        "Sieve 4 mm: undecided; 3.9 (2.5 – 5.3) %, limits 0 – 5 %; about 220 more stones, 55 s",
+        "Sieve 4 mm: undecided; 3.9 (2.5 – 5.3) %, limits 0 – 5 %",
         "Sieve 2 mm: not measured; limits 0 – 2 %",
         "94.2 92.2 – 96.2 100.0 90 – 99 conforms",
         "2 not measured – not measured 0 – 2 not measured",
@@ -202,6 +202,14 @@ def test_what_was_not_measured_is_never_a_zero() -> None:
     rows = re.findall(r"<tr>(.*?)</tr>", render_html(report_data(figures)).decode(), re.DOTALL)
     cells = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in rows]
     assert ["2", "not measured", "–", "not measured", "0 – 2", "not measured"] in cells
+
+
+def test_only_an_open_lot_says_how_many_stones_would_decide() -> None:
+    remaining = "about 220 more stones, 55 s"
+    assert remaining in page(report_data({"lot": lot_document(state=LotState.OPEN)})).text.replace(
+        "\u00a0", " "
+    )
+    assert remaining not in page(report_data()).text.replace("\u00a0", " ")
 
 
 @pytest.mark.parametrize(
