@@ -1,7 +1,7 @@
 """Specifications of a product, and the verdict on a lot: conforms, does not, or undecided, and for how long."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import ceil, hypot, log, sqrt
 
@@ -77,6 +77,29 @@ class Specification:
     step_percent: float = (
         1.0  # results are rounded to it before they are compared, as the standards report them
     )
+
+
+def with_declaration(specification: Specification, declared: Mapping[float, Range]) -> Specification:
+    """Return the specification of a product whose typical grading is declared: what is declared must hold as well.
+
+    `declared`: typical passing less and plus its tolerance, by aperture in mm (EN 13043 and EN 12620, clauses on the
+    typical grading); where more than 99 % pass D, it is the declaration that these ask for.
+
+    Raises
+    ------
+    ValueError
+        No passing would meet both; names the sieve.
+    """
+    passing = dict(specification.passing)
+    for sieve_mm, tolerated in declared.items():
+        allowed = passing.get(sieve_mm, tolerated)
+        low = max(allowed.min_percent, tolerated.min_percent)
+        high = min(allowed.greatest_percent, tolerated.max_percent)
+        if low > high:
+            limits = f"{allowed.min_percent:g} to {allowed.greatest_percent:g} %"
+            raise ValueError(f"{sieve_mm:g} mm: what is declared lies outside of the limits {limits}")
+        passing[sieve_mm] = Range(low, high)
+    return replace(specification, passing=passing)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,6 +27,8 @@ Apertures = TypeAliasType(
 Percent = Annotated[float, Field(ge=0, le=100)]
 PercentRange = tuple[Percent, Percent]
 """Least and greatest percent, both allowed."""
+Typical = tuple[Percent, Percent]
+"""Percent that passes, and its tolerance to either side in percentage points."""
 EN_BASIC = "en-basic-2"
 """Not in the schema, as generators write a default of this type as a name, not a text."""
 
@@ -65,6 +67,9 @@ class ProductDefinition:
     """Such as `FI20`."""
     shape_category: Name | None = None
     """Such as `SI20`."""
+    declared_grading: Annotated[Mapping[ApertureName, Typical], Field(max_length=100)] | None = None
+    """Typical grading that the supplier declares (EN 13043, EN 12620): percent passing and its tolerance in percentage
+    points, by aperture in mm. Lots must lie within these as well."""
 
 
 @served
@@ -145,6 +150,8 @@ def definition_of(document: Mapping[str, Any]) -> ProductDefinition:
     given = {item.name: document[item.name] for item in fields(ProductDefinition) if item.name in document}
     if isinstance(given.get("sieve_set"), list):
         given["sieve_set"] = tuple(given["sieve_set"])
+    if (declared := given.get("declared_grading")) is not None:
+        given["declared_grading"] = {name: tuple(typical) for name, typical in declared.items()}
     own = given.get("specification")
     if isinstance(own, Mapping):
         limits = {name: tuple(value) for name, value in own["passing"].items()}

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange, SieveSet
-from pipeline.gradation.specification import Range, Specification, specification_of
+from pipeline.gradation.specification import Range, Specification, specification_of, with_declaration
 from service.base.errors import InvalidRequestError
 from service.lots.products import OwnSpecification, ProductDefinition
 from service.lots.standards import read_standards
@@ -74,20 +74,34 @@ def _specification(
     wanted = name or (definition.specification if definition else None)
     flakiness = _index("flakiness_category", definition, read_standards().flakiness)
     shape = _index("shape_category", definition, read_standards().shape)
+    declared = {} if name else _declared(definition)  # of the product, not of another specification
     if isinstance(wanted, OwnSpecification):
         passing = {float(aperture): _limits(pair) for aperture, pair in wanted.passing.items()}
         found = Specification(name=wanted.name, source="the site's own", passing=passing)
         flakiness = _limits(wanted.flakiness) if wanted.flakiness else flakiness
         shape = _limits(wanted.shape) if wanted.shape else shape
     elif wanted is None:
-        if flakiness is None and shape is None:
+        if flakiness is None and shape is None and not declared:
             return None
-        found = Specification(name="indices alone", source="EN 12620", passing={})
+        title = "declared grading" if declared else "indices alone"
+        found = Specification(name=title, source="EN 12620", passing={})
     elif wanted in read_standards().sizes:
         found = read_standards().sizes[wanted]
     else:
         found = _of_category(wanted, definition, sieves)
-    return replace(found, flakiness=flakiness, shape=shape)
+    try:
+        return replace(with_declaration(found, declared), flakiness=flakiness, shape=shape)
+    except ValueError as err:
+        raise UnknownYardstickError(f"declared_grading: {err}") from err
+
+
+def _declared(definition: ProductDefinition | None) -> dict[float, Range]:
+    """Return the limits of a product's declared typical grading, by aperture in mm."""
+    given = (definition and definition.declared_grading) or {}
+    return {
+        float(aperture): Range(max(typical - tolerance, 0.0), min(typical + tolerance, 100.0))
+        for aperture, (typical, tolerance) in given.items()
+    }
 
 
 def _of_category(wanted: str, definition: ProductDefinition | None, sieves: SieveSet) -> Specification:

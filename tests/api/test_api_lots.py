@@ -1,5 +1,6 @@
 """Products, lots and their figures over REST."""
 
+import re
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -164,6 +165,8 @@ async def test_a_change_of_a_product_is_a_version_and_lots_keep_theirs(client: h
         ({"sieve_set": [4, 2]}, "sieve_set"),
         ({"density_kg_m3": 0}, "density_kg_m3"),
         ({"specification": {"name": "own", "passing": {"8": [90, 10]}}}, "specification"),
+        ({"declared_grading": {"8": [50, 10]}}, "declared_grading: 8 mm.*limits 0 to 20 %"),
+        ({"declared_grading": {"16 mm": [95, 5]}}, "declared_grading"),
     ],
 )
 async def test_a_product_that_cannot_be_judged_is_refused(
@@ -171,8 +174,27 @@ async def test_a_product_that_cannot_be_judged_is_refused(
 ) -> None:
     answer = await client.put("/products/basalt-8-16", json={**PRODUCT, **change})
     assert_problem(answer, 422, "invalid-request")
-    assert named in answer.text
+    assert re.search(named, answer.text)
     assert (await client.get("/products")).json() == {"items": []}
+
+
+async def test_a_product_is_judged_by_its_declared_grading_as_well(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    declared = {"11.2": [60, 15], "16": [100, 1]}
+    await client.put("/products/basalt-8-16", json={**PRODUCT, "declared_grading": declared})
+    assert (await client.get("/products/basalt-8-16")).json()["declared_grading"] == declared
+    await opened(client)
+    for number in range(1, 31):
+        await add(store, session, number, stone(9.0 + number / 20))
+    figures = (await client.get("/lots/L1/gradation")).json()
+    limits = {each["sieve_mm"]: each["decision"]["limits"] for each in figures["curve"] if each["decision"]}
+    spans = {sieve_mm: (found["min_percent"], found["max_percent"]) for sieve_mm, found in limits.items()}
+    assert (spans[11.2], spans[16], spans[8]) == ((45, 75), (99, 100), (0, 20))
+    at_d = next(each["decision"] for each in figures["curve"] if each["sieve_mm"] == 16)
+    assert not at_d["asks_declaration"]  # it is there
+    other = (await client.get("/lots/L1/gradation?specification=astm-7")).json()
+    assert 11.2 not in [each["sieve_mm"] for each in other["curve"] if each["decision"]]
 
 
 @pytest.mark.usefixtures("product")

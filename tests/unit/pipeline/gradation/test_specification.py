@@ -16,6 +16,7 @@ from pipeline.gradation.specification import (
     judge_figure,
     judge_figures,
     specification_of,
+    with_declaration,
 )
 
 NO_57 = Specification(
@@ -189,6 +190,15 @@ def test_stones_that_all_pass_the_upper_size_are_never_rejected() -> None:
         found = judge_figure(evaluate(lot_of_sizes(sizes_mm[:n]), (31.5,)).passing(31.5), AT_D, 1.0)
         assert found.verdict in (verdict, Verdict.CONFORMS), n
         assert found.asks_declaration
+
+
+def test_what_is_declared_must_hold_within_the_limits() -> None:
+    category = Specification(name="8/16", source="", passing={16: Range(85, 99, 100), 8: Range(0, 20)})
+    found = with_declaration(category, {16: Range(97, 100), 11.2: Range(45, 75), 8: Range(5, 25)})
+    assert found.passing == {16: Range(97, 100), 8: Range(5, 20), 11.2: Range(45, 75)}
+    assert with_declaration(category, {}) == category
+    with pytest.raises(ValueError, match="8 mm"):
+        with_declaration(category, {8: Range(30, 40)})
 
 
 def test_a_declaration_allows_no_less_than_the_limit_and_no_more_than_all() -> None:
