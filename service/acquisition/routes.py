@@ -21,7 +21,7 @@ from service.base.schema import RequestBody
 from service.base.status import AcquisitionStatus, AcquisitionTarget, CameraStatus
 from service.web.auth import OPERABLE, READABLE, Who
 from service.web.context import ApiContext, Context
-from service.web.parameters import CameraName
+from service.web.parameters import ANEW, CameraName
 from service.web.problems import Problem, problem_responses
 
 log = logging.getLogger(__name__)
@@ -92,6 +92,7 @@ async def cameras(context: Context) -> dict[str, Any]:
 @router.get(
     "/contact-sheet.jpg",
     response_class=Response,
+    dependencies=[ANEW],
     responses={200: {"content": {"image/jpeg": {}}}},
     description=f"Get the contact sheet: the latest frames of all cameras as one picture, {SHEET_COLUMNS} a row in the"
     f" order of `/cameras`, each {SHEET_TILE_PX} px wide, grey before its first frame. A few seconds old at most.",
@@ -117,7 +118,10 @@ async def camera_status(context: Context, camera: CameraName) -> CameraStatus:
 
 
 @router.get(
-    "/{camera}/snapshot.png", response_class=Response, responses={200: {"content": {"image/png": {}}}}
+    "/{camera}/snapshot.png",
+    response_class=Response,
+    dependencies=[ANEW],
+    responses={200: {"content": {"image/png": {}}}},
 )
 async def snapshot(context: Context, camera: CameraName) -> Response:
     """Get the latest frame of a camera; 404 `not-kept` before the first."""

@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 NAMED = (
     *("alarm", "calibration", "camera", "consumer", "lot", "particle"),
-    *("product", "recording", "sample", "verification", "webhook"),
+    *("product", "recording", "report", "sample", "verification", "webhook"),
 )
 """What requests name: each has a problem 404 of its own."""
 PROBLEMS = tuple(

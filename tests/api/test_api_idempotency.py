@@ -71,12 +71,21 @@ async def test_the_first_answer_comes_again_whatever_happened_since_and_after_a_
 @pytest.mark.usefixtures("product")
 @pytest.mark.parametrize(
     ("path", "body"),
-    [("/lots", LOT | {"lot": "L2"}), ("/lots?x=1", LOT), ("/lots/L1/close", LOT)],
+    [("/lots", LOT | {"lot": "L2"}), ("/lots/L1/close", LOT)],
 )
 async def test_a_key_is_for_one_request(client: httpx.AsyncClient, path: str, body: dict[str, Any]) -> None:
     await client.post("/lots", json=LOT, headers=keyed())
     assert_problem(await client.post(path, json=body, headers=keyed()), 422, "idempotency-key-reused")
     assert (await client.get("/lots/L2")).status_code == 404
+
+
+@pytest.mark.usefixtures("product")
+async def test_a_key_is_for_one_query(client: httpx.AsyncClient) -> None:
+    await client.post("/lots", json=LOT)
+    closed = await client.post("/lots/L1/close?wait_s=0", json={}, headers=keyed())
+    assert closed.status_code == 200
+    again = await client.post("/lots/L1/close?wait_s=0.1", json={}, headers=keyed())
+    assert_problem(again, 422, "idempotency-key-reused")
 
 
 @pytest.mark.parametrize("key", ["", "a b", "é", "x" * 129])

@@ -64,3 +64,35 @@ def test_a_lot_is_opened_filled_shown_and_closed_over_a_kill(tmp_path: Path) -> 
             assert path.read_bytes().startswith(begin)
         assert daemon.stop() == 0
     assert "Traceback" not in daemon.log
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("n_lots", [3, pytest.param(100, marks=pytest.mark.night)])
+def test_a_close_under_load_answers_with_the_figures_that_stay(tmp_path: Path, n_lots: int) -> None:
+    write_small_recording(tmp_path / "recording", n_stones=N_STONES)
+    rig = "loop = true\nspeed = 2.5"  # ten stones a second
+    with DaemonProcess(tmp_path, tmp_path / "recording", rig=rig) as daemon:
+        daemon.hear("READY=1")
+        daemon.put("/products/basalt", {"title": "basalt", "density_kg_m3": 2700, "specification": "astm-8"})
+        daemon.wait_for("/accounting", lambda found: found["measured"] > 0)
+        closed = []
+        for number in range(n_lots):
+            daemon.post("/lots", {"lot": f"L{number}", "product": "basalt"})
+            fallen = daemon.get("/accounting")["triggers"] + 5
+            daemon.wait_for("/accounting", lambda found, fallen=fallen: found["triggers"] >= fallen)
+            at_once = daemon.post(f"/lots/L{number}/close", {})
+            closed.append((at_once, daemon.post(f"/lots/L{number}/close?wait_s=300", {})))
+        for at_once, final in closed:
+            figures = daemon.get(f"/lots/{final['lot']}/gradation")
+            assert figures["lot"] == final
+            assert (figures["measured"], figures["verdict"]) == tuple(
+                final["completion"][name] for name in ("measured", "verdict")
+            )
+            assert final["n_stones"] == at_once["n_stones"] + at_once["in_progress"]
+            assert (final["state"], final["revision"], final["completion"]["revision"]) == ("closed", 1, 1)
+        events = daemon.get("/events?after=0&limit=1000")["items"]
+        told = [each["data"]["completion"] for each in events if each["type"] == "lot.completed"]
+        assert told == [final["completion"] for _, final in closed]
+        if n_lots > 10:  # else chance may have it that none was being measured
+            assert sum(at_once["in_progress"] for at_once, _ in closed) > 0
+        assert daemon.stop() == 0

@@ -3,7 +3,7 @@
 from functools import cache, partial
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from fastapi.responses import HTMLResponse
 
 import service.acquisition.routes
@@ -27,9 +27,11 @@ from service.web.control import Control
 from service.web.docs import docs_page
 from service.web.foreign_pages import ForeignPages
 from service.web.gzipped import gzipping
+from service.web.heads import answering_heads
 from service.web.idempotency import keeping_answers
 from service.web.key_ring import KeyRing
 from service.web.pace import paced
+from service.web.parameters import only_known_words
 from service.web.pieces import in_pieces
 from service.web.problems import install_handlers
 from service.web.reader_process import Reading
@@ -70,6 +72,7 @@ def create_app(
     app.add_middleware(with_body_limit, max_body_bytes=settings.max_body_bytes)
     app.add_middleware(paced, is_known=partial(has_right_key, context=app.state.context))
     app.add_middleware(in_pieces)
+    app.add_middleware(answering_heads)
     app.add_middleware(with_request_ids)  # the outermost: every answer has one
     return app
 
@@ -92,7 +95,7 @@ def build_routes() -> FastAPI:
     )
     for room in ROOMS:
         for router in room.ROUTERS:
-            app.include_router(router, prefix=BASE)
+            app.include_router(router, prefix=BASE, dependencies=[Depends(only_known_words)])
 
     app.include_router(screens.router)
 

@@ -176,7 +176,7 @@ export function mountPlaces(place) {
     return html.button({ type: "button", class: here.length === 0 ? "tile" : "tile found", "data-place": id, disabled: lit === null, onclick: () => choose(id) },
       html.strong(id),
       html.span(`${number((azimuth + 360) % 360)}°`),
-      camera?.frames > 0 ? html.img({ src: `${BASE}/cameras/${shown}/snapshot.png?frame=${camera.frames}`, alt: word("setup.places-picture", { camera: shown }) }) : html.span({ class: "no-picture" }, word("setup.places-no-picture")),
+      camera?.frames > 0 ? html.img({ src: `${BASE}/cameras/${shown}/snapshot.png?at=${camera.frames}`, alt: word("setup.places-picture", { camera: shown }) }) : html.span({ class: "no-picture" }, word("setup.places-no-picture")),
       html.span({ class: "serial" }, here.length === 0 ? "" : "✓ ", words),
     );
   }
