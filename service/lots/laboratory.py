@@ -2,10 +2,9 @@
 
 import json
 import math
-import re
 import sqlite3
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from http import HTTPStatus
 from typing import Any
 
@@ -13,6 +12,7 @@ from pydantic import TypeAdapter
 
 from drivers.files.times import utc_now
 from pipeline.gradation.correlation import MappingForm, SievedLot, SizeMapping, Study, study
+from pipeline.gradation.curve import retained_to_passing
 from service.base.errors import InvalidRequestError, ProblemError, ProblemKind, TooManyError
 from service.base.schema import Time, served
 from service.lots.lots import LotState, lots
@@ -23,10 +23,6 @@ MAX_SIEVINGS = 100
 """Most sievings of a lot: they are one list, without pages."""
 MOST_SIEVES = 100
 """In one table or request; a stored one may be older than this limit."""
-PAN = frozenset({"pan", "boden", "0"})
-"""Words for what passes the last sieve; the second is German."""
-MASS = re.compile(r"([0-9.,\s]++)(kg|g)?")
-GRAMS = {"kg": 1000.0, "g": 1.0, None: None}
 MOST_LOTS = 1000
 
 
@@ -42,37 +38,47 @@ class NothingToStudyError(ProblemError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sieving:
-    """What a laboratory found in a portion: grams retained on each sieve and in the pan."""
+    """A laboratory's sieving of a portion (EN 933-1): masses retained, or percent passing where no mass is known."""
 
-    retained_g: Mapping[float, float]  # by aperture in mm
-    pan_g: float
+    retained_g: Mapping[float, float] = field(default_factory=dict)  # by aperture in mm
+    pan_g: float | None = None  # with `retained_g` alone
+    given_passing_percent: Mapping[float, float] | None = (
+        None  # by aperture in mm, where only percents are known
+    )
     sample_id: str | None = None
     by: str | None = None
     remark: str | None = None
 
     def __post_init__(self) -> None:
-        if not self.retained_g or not all(0 < sieve_mm < math.inf for sieve_mm in self.retained_g):
-            raise SievingError("retained_g: needs sieves with apertures above 0 mm")
-        weighed_g = {f"retained_g: {sieve_mm:g} mm": grams for sieve_mm, grams in self.retained_g.items()}
-        for name, grams in [*weighed_g.items(), ("pan_g", self.pan_g)]:
+        name = "retained_g" if self.given_passing_percent is None else "passing_percent"
+        given = self.retained_g if self.given_passing_percent is None else self.given_passing_percent
+        if not given or not all(0 < sieve_mm < math.inf for sieve_mm in given):
+            raise SievingError(f"{name}: needs sieves with apertures above 0 mm")
+        if self.given_passing_percent is not None:
+            falling = [percent for _, percent in sorted(given.items(), reverse=True)]
+            if self.mass_g is not None or falling != sorted(falling, reverse=True):
+                raise SievingError("passing_percent: must fall with falling sieves, and stand without masses")
+            if not 0 <= falling[-1] <= falling[0] <= 100:
+                raise SievingError("passing_percent: must be from 0 to 100")
+            return
+        weighed_g = {f"retained_g: {sieve_mm:g} mm": grams for sieve_mm, grams in given.items()}
+        for place, grams in [*weighed_g.items(), ("pan_g", self.pan_g or 0.0)]:
             if not 0 <= grams < 1e7:
-                raise SievingError(f"{name}: must be grams from 0, not {grams:g}")
-        if self.mass_g <= 0:
+                raise SievingError(f"{place}: must be grams from 0, not {grams:g}")
+        if not self.mass_g:
             raise SievingError("retained_g: nothing was weighed")
 
     @property
-    def mass_g(self) -> float:
-        """All that was weighed."""
-        return sum(self.retained_g.values()) + self.pan_g
+    def mass_g(self) -> float | None:
+        """All that was weighed; None where only percents are known."""
+        return sum(self.retained_g.values()) + (self.pan_g or 0.0) if self.retained_g else None
 
     @property
     def passing_percent(self) -> dict[float, float]:
-        """By rising aperture in mm: what passes is what lies on all smaller sieves and in the pan."""
-        passing, below_g, mass_g = {}, self.pan_g, self.mass_g
-        for sieve_mm in sorted(self.retained_g):
-            passing[sieve_mm] = 100 * below_g / mass_g
-            below_g += self.retained_g[sieve_mm]
-        return passing
+        """By rising aperture in mm: the share of the mass that lies on all smaller sieves and in the pan."""
+        if self.given_passing_percent is not None:
+            return dict(sorted(self.given_passing_percent.items()))
+        return retained_to_passing(self.retained_g, self.pan_g or 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,49 +134,6 @@ class CorrelationDocument:
 SIEVING, STUDY = TypeAdapter(Sieving), TypeAdapter(Study)
 
 
-def parse_table(text: str, **more: str | None) -> Sieving:
-    """Read a table of apertures and masses as it is copied from a spreadsheet.
-
-    Columns are parted by semicolons or tabs, decimals by a point or a comma; masses are grams, or kilograms where
-    `kg` stands behind the number or at the head of the column. Raises `SievingError`.
-    """
-    retained_g: dict[float, float] = {}
-    pan_g, unit_g = 0.0, 1.0
-    for number, line in enumerate(text.splitlines(), start=1):
-        if not line.strip():
-            continue
-        row = _row(line)
-        if row is None:
-            if retained_g or number > 1:
-                raise SievingError(
-                    f"table: line {number}: {line.strip()[:80]!r} is not an aperture and a mass"
-                )
-            is_kg = "kg" in re.findall(r"[^\W_]+", line.lower())
-            unit_g = 1000.0 if is_kg else 1.0  # the head of the columns
-            continue
-        name, mass, factor = row
-        grams = _number(mass, number) * (factor or unit_g)
-        if name.lower() in PAN:
-            pan_g += grams
-        else:
-            sieve_mm = _number(name.lower().removesuffix("mm"), number)
-            if sieve_mm in retained_g:
-                raise SievingError(f"table: line {number}: the sieve {sieve_mm:g} mm is there twice")
-            if len(retained_g) == MOST_SIEVES:
-                raise SievingError(f"table: line {number}: more than {MOST_SIEVES} sieves")
-            retained_g[sieve_mm] = grams
-    return Sieving(retained_g=retained_g, pan_g=pan_g, **more)
-
-
-def _row(line: str) -> tuple[str, str, float | None] | None:
-    """Return the name of a sieve, what is written as its mass, and grams of its unit; None for other lines."""
-    name, *cells = (cell.strip() for cell in line.strip().replace("\t", ";").split(";"))
-    if not name or not cells or any(cells[1:]) or len(cells) > 2:
-        return None
-    mass = MASS.fullmatch(cells[0].lower())
-    return None if mass is None else (name, mass[1], GRAMS[mass[2]])
-
-
 def add_sieving(connection: sqlite3.Connection, lot: str, sieving: Sieving, who: str) -> StoredSieving:
     """Store a sieving of a lot; raise `TooManyError` if it has `MAX_SIEVINGS` already."""
     document = asdict(sieving)
@@ -204,8 +167,10 @@ def sievings_json(connection: sqlite3.Connection, lot: str) -> bytes:
 def sieving_document(stored: StoredSieving) -> dict[str, Any]:
     """Return a sieving as its document says it."""
     sieving = stored.document
+    facts = asdict(sieving)
+    facts.pop("given_passing_percent")
     return {
-        **asdict(sieving),
+        **facts,
         "sieving": stored.sieving,
         "at": stored.at,
         "mass_g": sieving.mass_g,
@@ -261,10 +226,3 @@ def _correlation(product: str, version: int, at: str, found: Study) -> Correlati
     figures, factor = asdict(found), found.mapping.factor
     figures |= figures.pop("mapping")
     return CorrelationDocument(product=product, version=version, at=at, factor=factor, **figures)
-
-
-def _number(text: str, line: int) -> float:
-    try:
-        return float(text.strip().replace(",", "."))
-    except ValueError:
-        raise SievingError(f"table: line {line}: {text.strip()[:40]!r} is not a number") from None

@@ -299,6 +299,26 @@ async def test_the_laboratorys_curve_and_the_correlated_one_stand_beside_the_raw
 
 
 @pytest.mark.usefixtures("product")
+async def test_percents_of_a_table_are_stored_without_masses(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    await opened(client)
+    await add(store, session, 1, stone(10.0))
+    table = {"table": "Siebweite mm;Durchgang %\n16;100\n8;45,5\n4;12"}
+    stored = (await client.post("/lots/L1/sieving", json=table)).json()
+    assert (stored["retained_g"], stored["pan_g"], stored["mass_g"]) == ({}, None, None)
+    assert stored["passing_percent"] == {"4": 12.0, "8": 45.5, "16": 100.0}
+    assert (await client.get("/lots/L1/sieving")).json()["items"] == [stored]
+    for suffix in ("html", "pdf", "csv", "xlsx"):
+        report = await client.get(f"/lots/L1/report.{suffix}")
+        assert report.status_code == 200
+    assert "45.5" in (await client.get("/lots/L1/report.csv")).text
+    refused = await client.post("/lots/L1/sieving", json={"table": "Sieb;g\n16;0\n8;1.234"})
+    assert_problem(refused, 422, "invalid-request")
+    assert "line 3" in refused.text
+
+
+@pytest.mark.usefixtures("product")
 async def test_repeated_runs_of_a_sample_tell_its_repeatability(
     client: httpx.AsyncClient, store: Store, session: int
 ) -> None:

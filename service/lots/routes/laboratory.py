@@ -1,5 +1,6 @@
 """The laboratory's sievings of lots, and the correlation study of a product."""
 
+from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
@@ -16,7 +17,6 @@ from service.lots.laboratory import (
     add_sieving,
     correlations,
     keep_study,
-    parse_table,
     sieving_document,
     sievings_json,
     study_of,
@@ -26,6 +26,7 @@ from service.lots.products import find_product
 from service.lots.routes.lot_figures import Measuring
 from service.lots.routes.lots import LotName
 from service.lots.routes.products import ProductName
+from service.lots.sieving_tables import read_table
 from service.web.auth import CONFIGURABLE, OPERABLE, READABLE, Who
 from service.web.context import Context
 from service.web.problems import existing, problem_responses
@@ -42,7 +43,8 @@ class SievingRequest(RequestBody):
     pan_g: float = Field(default=0.0, description="Grams in the pan")
     table: Annotated[str, Field(max_length=20_000)] | None = Field(
         default=None,
-        description="Lines of aperture in mm (or `pan`), semicolon or tab, mass in g, or in kg where it says so",
+        description="A table as it is copied: its head names aperture in mm or µm; retained in g, kg, lb or %; passing"
+        " in %. Without a head: lines of aperture in mm (or `pan`), semicolon or tab, mass in g",
     )
     sample_id: Name | None = Field(default=None, description="Id of the laboratory sample")
     by: Name | None = Field(default=None, description="Who sieved")
@@ -57,10 +59,10 @@ class SievingDocument(BaseModel):
     sieving: int = Field(description="Number of the sieving")
     at: Time = Field(description="When it was entered, RFC 3339 UTC")
     retained_g: dict[str, float] = Field(
-        description="Mass retained on each sieve (EN 933-1), g, by aperture in mm"
+        description="Mass retained on each sieve (EN 933-1), g, by aperture in mm; empty where only percents are known"
     )
-    pan_g: float = Field(description="Mass in the pan, g")
-    mass_g: float = Field(description="Mass of all fractions, g")
+    pan_g: float | None = Field(description="Mass in the pan, g; null where only percents are known")
+    mass_g: float | None = Field(description="Mass of all fractions, g; null where only percents are known")
     passing_percent: dict[str, float] = Field(description="By aperture in mm")
     sample_id: str | None = Field(description="Id of the laboratory sample")
     by: str | None = Field(description="Who sieved")
@@ -140,7 +142,7 @@ def _sieving(wanted: SievingRequest) -> Sieving:
     if (wanted.retained_g is None) == (wanted.table is None):
         raise SievingError("retained_g, table: give one of them")
     if wanted.table is not None:
-        return parse_table(wanted.table, **words)
+        return replace(read_table(wanted.table).sieving, **words)
     given = wanted.retained_g or {}
     retained_g = {float(aperture): grams for aperture, grams in given.items()}
     if len(retained_g) < len(given):
