@@ -23,6 +23,8 @@ MAX_SIEVINGS = 100
 """Most sievings of a lot: they are one list, without pages."""
 MOST_SIEVES = 100
 """In one table or request; a stored one may be older than this limit."""
+MOST_LOST = 0.01
+"""Share of the dry mass by which the fractions may miss it (EN 933-1)."""
 MOST_LOTS = 1000
 
 
@@ -45,9 +47,11 @@ class Sieving:
     given_passing_percent: Mapping[float, float] | None = (
         None  # by aperture in mm, where only percents are known
     )
+    dry_mass_g: float | None = None  # before sieving
     sample_id: str | None = None
     by: str | None = None
     remark: str | None = None
+    reason: str | None = None  # why it is right though it contradicts the instrument
 
     def __post_init__(self) -> None:
         name = "retained_g" if self.given_passing_percent is None else "passing_percent"
@@ -60,6 +64,8 @@ class Sieving:
                 raise SievingError("passing_percent: must fall with falling sieves, and stand without masses")
             if not 0 <= falling[-1] <= falling[0] <= 100:
                 raise SievingError("passing_percent: must be from 0 to 100")
+            if self.dry_mass_g is not None:
+                raise SievingError("dry_mass_g: there are no masses to compare it with")
             return
         weighed_g = {f"retained_g: {sieve_mm:g} mm": grams for sieve_mm, grams in given.items()}
         for place, grams in [*weighed_g.items(), ("pan_g", self.pan_g or 0.0)]:
@@ -67,6 +73,12 @@ class Sieving:
                 raise SievingError(f"{place}: must be grams from 0, not {grams:g}")
         if not self.mass_g:
             raise SievingError("retained_g: nothing was weighed")
+        dry_mass_g = self.mass_g if self.dry_mass_g is None else self.dry_mass_g
+        if not abs(self.mass_g - dry_mass_g) <= MOST_LOST * dry_mass_g:
+            raise SievingError(
+                f"dry_mass_g: {dry_mass_g:g} g were sieved, but the fractions add up to {self.mass_g:g} g, which is"
+                " more than 1 % from it: sieve again, or look for a slip"
+            )
 
     @property
     def mass_g(self) -> float | None:

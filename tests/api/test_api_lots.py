@@ -298,6 +298,86 @@ async def test_the_laboratorys_curve_and_the_correlated_one_stand_beside_the_raw
     assert_problem(await client.post("/lots/L9/sieving", json=body), 404, "unknown-lot")
 
 
+async def lot_of_uniform_stones(client: httpx.AsyncClient, store: Store, session: int, n_stones: int) -> None:
+    """Open lot L1 with stones from 6 to 18 mm."""
+    await opened(client)
+    for sequence, size_mm in enumerate(np.linspace(6.0, 18.0, n_stones), start=1):
+        await add(store, session, sequence, stone(float(size_mm)))
+
+
+PLAUSIBLE = "Sieve mm;Passing %\n16;62\n12,5;27\n8;5"
+SWAPPED = "Sieve mm;Passing %\n16;62\n12,5;60\n8;5"
+"""A slip at 12.5 mm."""
+
+
+@pytest.mark.usefixtures("product")
+async def test_a_sieving_is_read_back_beside_the_instrument_before_it_is_stored(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    await lot_of_uniform_stones(client, store, session, 100)
+    dry = {"dry_run": True}
+    read = await client.post("/lots/L1/sieving", json={"table": PLAUSIBLE, **dry})
+    assert read.status_code == 200
+    reading = read.json()
+    assert reading["understood"] == "column 1: aperture in mm; column 2: passing in %; decimal comma"
+    assert (reading["mass_g"], reading["implausible"]) == (None, None)
+    curve = (await client.get("/lots/L1/gradation")).json()["curve"]
+    for step in reading["sieves"]:
+        own = next(each for each in curve if each["sieve_mm"] == step["sieve_mm"])["passing_percent"]
+        assert step["instrument_percent"] == own
+        assert step["difference"] == pytest.approx(own["value"] - step["passing_percent"])
+    body = {"retained_g": {"16": 380.0, "12.5": 350.0, "8": 220.0, "2": 40.0}, "pan_g": 10.0, **dry}
+    weighed = (await client.post("/lots/L1/sieving", json=body)).json()
+    assert [step["retained_g"] for step in weighed["sieves"]] == [40.0, 220.0, 350.0, 380.0]
+    assert weighed["sieves"][0]["instrument_percent"]["state"] == "not_measured"
+    assert (weighed["sieves"][0]["difference"], weighed["mass_g"]) == (None, 1000.0)
+    odd = (await client.post("/lots/L1/sieving", json={"table": SWAPPED, **dry})).json()
+    assert "12.5 mm" in odd["implausible"]
+    assert (await client.get("/lots/L1/sieving")).json() == {"items": []}
+    assert [each["action"] for each in (await client.get("/audit?subject=L1")).json()["items"]] == [
+        "lot opened"
+    ]
+
+
+@pytest.mark.usefixtures("product")
+async def test_a_sieving_that_contradicts_the_instrument_needs_a_reason(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    await lot_of_uniform_stones(client, store, session, 100)
+    assert (await client.post("/lots/L1/sieving", json={"table": PLAUSIBLE})).status_code == 201
+    refused = await client.post("/lots/L1/sieving", json={"table": SWAPPED})
+    assert_problem(refused, 409, "implausible-sieving")
+    assert "at 12.5 mm 60.0 % pass by the sieving, 2" in refused.json()["detail"]
+    assert " 16 mm" not in refused.json()["detail"]
+    kept = await client.post("/lots/L1/sieving", json={"table": SWAPPED, "reason": "sieved twice"})
+    assert kept.json()["reason"] == "sieved twice"
+    entries = (await client.get("/audit?subject=L1")).json()["items"]
+    assert [each["after"].get("reason") for each in entries if each["action"] == "sieving"] == [
+        None,
+        "sieved twice",
+    ]
+
+
+@pytest.mark.usefixtures("product")
+async def test_few_stones_contradict_no_sieving(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    await lot_of_uniform_stones(client, store, session, 49)
+    assert (await client.post("/lots/L1/sieving", json={"table": SWAPPED})).status_code == 201
+
+
+@pytest.mark.usefixtures("product")
+async def test_fractions_must_add_up_to_the_dry_mass(client: httpx.AsyncClient) -> None:
+    await opened(client)
+    body = {"retained_g": {"16": 600.0, "8": 395.0}, "pan_g": 1.0}
+    for dry_mass_g, status in ((996.0, 201), (1005.9, 201), (986.2, 201), (1007.0, 422), (985.0, 422)):
+        answer = await client.post("/lots/L1/sieving", json={**body, "dry_mass_g": dry_mass_g})
+        assert answer.status_code == status, dry_mass_g
+    assert "985 g" in answer.text and "996 g" in answer.text
+    percents = await client.post("/lots/L1/sieving", json={"table": PLAUSIBLE, "dry_mass_g": 1000.0})
+    assert_problem(percents, 422, "invalid-request")
+
+
 @pytest.mark.usefixtures("product")
 async def test_percents_of_a_table_are_stored_without_masses(
     client: httpx.AsyncClient, store: Store, session: int

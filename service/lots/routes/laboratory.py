@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, TypeAdapter
 
 from pipeline.gradation.correlation import MappingForm
 from service.base.schema import Name, RequestBody, Time
@@ -22,16 +22,23 @@ from service.lots.laboratory import (
     study_of,
 )
 from service.lots.lots import find_lot
+from service.lots.plausibility import SievingReading, require_plausible, sieving_reading
 from service.lots.products import find_product
 from service.lots.routes.lot_figures import Measuring
 from service.lots.routes.lots import LotName
 from service.lots.routes.products import ProductName
+from service.lots.shifts import LotsSettings
 from service.lots.sieving_tables import read_table
 from service.web.auth import CONFIGURABLE, OPERABLE, READABLE, Who
 from service.web.context import Context
 from service.web.problems import existing, problem_responses
 
+READING = TypeAdapter(SievingReading)
+
 router = APIRouter(tags=["laboratory"])
+
+
+Reason = Annotated[str, Field(min_length=1, max_length=2000)]
 
 
 class SievingRequest(RequestBody):
@@ -51,6 +58,16 @@ class SievingRequest(RequestBody):
     remark: Annotated[str, Field(max_length=2000)] | None = Field(
         default=None, description="Whatever else is to be kept with it"
     )
+    dry_mass_g: Annotated[float, Field(gt=0, lt=1e7)] | None = Field(
+        default=None,
+        description="Dry mass before sieving, g: fractions that miss it by more than 1 % are refused (EN 933-1)",
+    )
+    reason: Reason | None = Field(
+        default=None, description="Why it is right though it contradicts the instrument's curve; kept with it"
+    )
+    dry_run: bool = Field(
+        default=False, description="True: nothing is stored, and the answer is the sieving as it was read"
+    )
 
 
 class SievingDocument(BaseModel):
@@ -67,6 +84,8 @@ class SievingDocument(BaseModel):
     sample_id: str | None = Field(description="Id of the laboratory sample")
     by: str | None = Field(description="Who sieved")
     remark: str | None = Field(description="As it was given")
+    dry_mass_g: float | None = Field(description="Dry mass before sieving, g, as it was given")
+    reason: str | None = Field(description="Why it is right though it contradicts the instrument's curve")
 
 
 class Sievings(BaseModel):
@@ -89,11 +108,26 @@ class Correlations(BaseModel):
     items: list[CorrelationDocument] = Field(description="Newest first")
 
 
-@router.post("/lots/{lot}/sieving", status_code=201, response_model=SievingDocument, dependencies=OPERABLE)
-async def post_sieving(context: Context, lot: LotName, wanted: SievingRequest, asking: Who) -> dict[str, Any]:
-    """Store a sieving of the laboratory: of a portion of a lot, to be shown beside the instrument's curve."""
+@router.post(
+    "/lots/{lot}/sieving",
+    status_code=201,
+    response_model=SievingDocument,
+    dependencies=OPERABLE,
+    responses={200: {"model": SievingReading, "description": "With `dry_run`: the sieving as it was read"}},
+)
+async def post_sieving(context: Context, lot: LotName, wanted: SievingRequest, asking: Who) -> Any:
+    """Store a sieving of the laboratory: of a portion of a lot, to be shown beside the instrument's curve.
+
+    409 `implausible-sieving` if its passing is more than 15 points from the instrument's, and outside of the 95 %
+    interval of that, unless there is a `reason`.
+    """
     existing(await context.store.read(find_lot, lot), "lot", lot)
-    sieving = _sieving(wanted)
+    sieving, understood = _sieving(wanted)
+    measured = context.part(LotsSettings).measured
+    reading = await context.read_beside(sieving_reading, lot, sieving, understood, measured)
+    if wanted.dry_run:
+        return Response(READING.dump_json(reading), media_type="application/json")
+    require_plausible(reading, sieving.reason)
     return sieving_document(await context.write(add_sieving, lot, sieving, asking))
 
 
@@ -137,14 +171,16 @@ async def get_repeatability(
     return existing(found, "sample", sample_id)
 
 
-def _sieving(wanted: SievingRequest) -> Sieving:
-    words = wanted.model_dump(include={"sample_id", "by", "remark"})
+def _sieving(wanted: SievingRequest) -> tuple[Sieving, str]:
+    """Return the sieving of a request, and how its table was read."""
+    words = wanted.model_dump(include={"sample_id", "by", "remark", "dry_mass_g", "reason"})
     if (wanted.retained_g is None) == (wanted.table is None):
         raise SievingError("retained_g, table: give one of them")
     if wanted.table is not None:
-        return replace(read_table(wanted.table).sieving, **words)
+        read = read_table(wanted.table)
+        return replace(read.sieving, **words), read.understood
     given = wanted.retained_g or {}
     retained_g = {float(aperture): grams for aperture, grams in given.items()}
     if len(retained_g) < len(given):
         raise SievingError("retained_g: a sieve is there twice")
-    return Sieving(retained_g=retained_g, pan_g=wanted.pan_g, **words)
+    return Sieving(retained_g=retained_g, pan_g=wanted.pan_g, **words), "retained in g by aperture in mm"

@@ -1,0 +1,110 @@
+"""A sieving beside the instrument's own curve of the lot: read back before it is stored, refused if implausible."""
+
+import sqlite3
+from http import HTTPStatus
+
+from pipeline.gradation.estimates import Estimate
+from pipeline.gradation.sieves import MeasuredRange
+from service.base.errors import ProblemError, ProblemKind
+from service.base.schema import served
+from service.lots.evaluation import passing_of
+from service.lots.laboratory import Sieving
+from service.lots.stones import stones_of_lot
+
+LEAST_STONES = 50
+"""Measured stones from which on the instrument's curve can contradict a sieving."""
+MOST_POINTS = 15.0
+"""Difference of passing in percentage points up to which it never does: methods and portions differ."""
+
+
+class ImplausibleSievingError(ProblemError):
+    """A sieving contradicts the instrument's curve of its lot, and no reason is given; names the sieves."""
+
+    kinds = (
+        ProblemKind(
+            "implausible-sieving", HTTPStatus.CONFLICT, "The sieving contradicts the instrument's curve"
+        ),
+    )
+
+
+@served
+class SievingStep:
+    """One sieve of a sieving, beside the instrument."""
+
+    sieve_mm: float
+    """Aperture, mm"""
+    retained_g: float | None
+    """Mass retained on it, g; null where only percents are known"""
+    passing_percent: float
+    """Share of the mass that passes it by the sieving"""
+    instrument_percent: Estimate
+    """The same by the raw sizes of the lot's stones; without a value beyond the measured range"""
+    difference: float | None
+    """Instrument minus sieving, percentage points; null where there is no value"""
+
+
+@served
+class SievingReading:
+    """A sieving as it was read, beside the instrument's curve of its lot; nothing of it is stored."""
+
+    understood: str
+    """How columns and numbers were taken, in words"""
+    mass_g: float | None
+    """Mass of all fractions, g; null where only percents are known"""
+    dry_mass_g: float | None
+    """As it was given"""
+    sieves: tuple[SievingStep, ...]
+    """By rising aperture"""
+    implausible: str | None
+    """Why it will be refused without a `reason`; null if it is plausible"""
+
+
+def sieving_reading(
+    connection: sqlite3.Connection, lot: str, sieving: Sieving, understood: str, measured: MeasuredRange
+) -> SievingReading:
+    """Return a sieving beside the instrument's curve of the lot, at the same sieves."""
+    stones = stones_of_lot(connection, lot).lot
+    passing = sieving.passing_percent
+    instrument = passing_of(stones, list(passing), measured)
+    steps = tuple(
+        SievingStep(
+            sieve_mm=sieve_mm,
+            retained_g=sieving.retained_g.get(sieve_mm),
+            passing_percent=percent,
+            instrument_percent=instrument[sieve_mm],
+            difference=None if (value := instrument[sieve_mm].value) is None else value - percent,
+        )
+        for sieve_mm, percent in passing.items()
+    )
+    odd = [_contradiction(step) for step in steps if stones.n_measured >= LEAST_STONES and _contradicts(step)]
+    return SievingReading(
+        understood=understood,
+        mass_g=sieving.mass_g,
+        dry_mass_g=sieving.dry_mass_g,
+        sieves=steps,
+        implausible=f"lot {lot}: {'; '.join(odd)}" if odd else None,
+    )
+
+
+def require_plausible(reading: SievingReading, reason: str | None) -> None:
+    """Raise `ImplausibleSievingError` if a sieving contradicts the instrument and no reason is given for it."""
+    if reading.implausible is not None and reason is None:
+        raise ImplausibleSievingError(
+            f"{reading.implausible}: check the table with dry_run, or give the reason why it is right"
+        )
+
+
+def _contradicts(step: SievingStep) -> bool:
+    """True beyond both `MOST_POINTS` and the 95 % interval of the instrument's passing."""
+    found = step.instrument_percent
+    if step.difference is None or found.low is None or found.high is None:
+        return False
+    return abs(step.difference) > MOST_POINTS and not found.low <= step.passing_percent <= found.high
+
+
+def _contradiction(step: SievingStep) -> str:
+    found = step.instrument_percent
+    return (
+        f"at {step.sieve_mm:g} mm {step.passing_percent:.1f} % pass by the sieving,"
+        f" {found.value:.1f} % ({found.low:.1f} to {found.high:.1f}) by the instrument"
+    )
