@@ -18,6 +18,7 @@ from service.base.schema import Time, served
 from service.lots.lots import LotState, lots
 from service.lots.stones import stones_of_lot
 from service.store import audit
+from service.store.schema import rows_by_name
 
 MAX_SIEVINGS = 100
 """Most sievings of a lot: they are one list, without pages."""
@@ -30,6 +31,18 @@ MOST_LOTS = 1000
 
 class SievingError(InvalidRequestError):
     """A laboratory's table cannot be read, or does not add up; names the line or the sieve."""
+
+
+class UnknownSievingError(ProblemError):
+    """The lot has no sieving of this number."""
+
+    kinds = (ProblemKind("unknown-sieving", HTTPStatus.NOT_FOUND, "No such sieving"),)
+
+
+class SievingVoidError(ProblemError):
+    """A sieving is to be replaced that is void already."""
+
+    kinds = (ProblemKind("sieving-void", HTTPStatus.CONFLICT, "The sieving is void"),)
 
 
 class NothingToStudyError(ProblemError):
@@ -95,11 +108,14 @@ class Sieving:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredSieving:
-    """A sieving of a lot."""
+    """A sieving of a lot; a void one counts in no study, chart or report."""
 
     sieving: int
     at: str
     document: Sieving
+    voided_at: str | None = None
+    void_reason: str | None = None
+    replaced_by: int | None = None  # the sieving that corrects it
 
 
 @served
@@ -146,29 +162,71 @@ class CorrelationDocument:
 SIEVING, STUDY = TypeAdapter(Sieving), TypeAdapter(Study)
 
 
-def add_sieving(connection: sqlite3.Connection, lot: str, sieving: Sieving, who: str) -> StoredSieving:
-    """Store a sieving of a lot; raise `TooManyError` if it has `MAX_SIEVINGS` already."""
+def add_sieving(
+    connection: sqlite3.Connection, lot: str, sieving: Sieving, who: str, replaces: int | None = None
+) -> StoredSieving:
+    """Store a sieving of a lot; the one that it `replaces` is void from then on, for the same reason.
+
+    Raises `TooManyError` if the lot has `MAX_SIEVINGS` already, `UnknownSievingError` or `SievingVoidError` if there
+    is nothing to replace.
+    """
     document = asdict(sieving)
     (n,) = connection.execute("SELECT count(*) FROM sievings WHERE lot = ?", (lot,)).fetchone()
     if n >= MAX_SIEVINGS:
         raise TooManyError("sievings", f"lot {lot} has {MAX_SIEVINGS} sievings already")
+    if replaces is not None and _sieving_of(connection, lot, replaces).voided_at is not None:
+        raise SievingVoidError(f"replaces: sieving {replaces} of lot {lot} is void already")
     number, at = connection.execute(
         "INSERT INTO sievings (lot, at, document) VALUES (?, ?, ?) RETURNING sieving, at",
         (lot, utc_now(), json.dumps(document)),
     ).fetchone()
     audit.note(connection, who, "sieving", lot, after=document)
+    if replaces is not None:
+        void_sieving(connection, lot, replaces, sieving.reason or "", who, replaced_by=number)
     return StoredSieving(sieving=number, at=at, document=sieving)
 
 
+def void_sieving(
+    connection: sqlite3.Connection,
+    lot: str,
+    number: int,
+    reason: str,
+    who: str,
+    replaced_by: int | None = None,
+) -> StoredSieving:
+    """Declare a sieving void: it is kept, and counts no more. A void one is returned as it is.
+
+    Raises `UnknownSievingError` if the lot has none of this number.
+    """
+    before = _sieving_of(connection, lot, number)
+    if before.voided_at is not None:
+        return before
+    connection.execute(
+        "UPDATE sievings SET voided_at = ?, void_reason = ?, replaced_by = ? WHERE sieving = ?",
+        (utc_now(), reason, replaced_by, number),
+    )
+    after = _sieving_of(connection, lot, number)
+    facts = (sieving_document(each) for each in (before, after))
+    audit.note(connection, who, "sieving voided", lot, before=next(facts), after=next(facts))
+    return after
+
+
 def sievings(connection: sqlite3.Connection, lot: str) -> list[StoredSieving]:
-    """Return the sievings of a lot, in their order."""
+    """Return the sievings of a lot, in their order, void ones included."""
     rows = connection.execute(
-        "SELECT sieving, at, document FROM sievings WHERE lot = ? ORDER BY sieving", (lot,)
+        "SELECT sieving, at, document, voided_at, void_reason, replaced_by FROM sievings"
+        " WHERE lot = ? ORDER BY sieving",
+        (lot,),
     )
     return [
-        StoredSieving(sieving=number, at=at, document=SIEVING.validate_json(text))
-        for number, at, text in rows
+        StoredSieving(**row | {"document": SIEVING.validate_json(row["document"])})
+        for row in rows_by_name(rows)
     ]
+
+
+def valid_sievings(connection: sqlite3.Connection, lot: str) -> list[StoredSieving]:
+    """Return the sievings of a lot that count, in their order."""
+    return [each for each in sievings(connection, lot) if each.voided_at is None]
 
 
 def sievings_json(connection: sqlite3.Connection, lot: str) -> bytes:
@@ -178,17 +236,22 @@ def sievings_json(connection: sqlite3.Connection, lot: str) -> bytes:
 
 def sieving_document(stored: StoredSieving) -> dict[str, Any]:
     """Return a sieving as its document says it."""
-    sieving = stored.document
-    facts = asdict(sieving)
+    facts, sieving = asdict(stored), stored.document
+    facts = facts.pop("document") | facts
     facts.pop("given_passing_percent")
     return {
         **facts,
-        "sieving": stored.sieving,
-        "at": stored.at,
         "mass_g": sieving.mass_g,
         "retained_g": {f"{sieve_mm:g}": grams for sieve_mm, grams in sieving.retained_g.items()},
         "passing_percent": {f"{sieve_mm:g}": share for sieve_mm, share in sieving.passing_percent.items()},
     }
+
+
+def _sieving_of(connection: sqlite3.Connection, lot: str, number: int) -> StoredSieving:
+    for each in sievings(connection, lot):
+        if each.sieving == number:
+            return each
+    raise UnknownSievingError(f"lot {lot} has no sieving {number}")
 
 
 def study_of(connection: sqlite3.Connection, product: str, form: MappingForm) -> Study:
@@ -204,7 +267,7 @@ def study_of(connection: sqlite3.Connection, product: str, form: MappingForm) ->
     sieved = [
         SievedLot(lot=stones_of_lot(connection, name).lot, passing=each.document.passing_percent)
         for name in names
-        for each in sievings(connection, name)
+        for each in valid_sievings(connection, name)
     ]
     try:
         return study([each for each in sieved if each.lot.n_measured], form)

@@ -11,7 +11,7 @@ from drivers.files.times import utc_now
 from service.base.language import Language
 from service.lots.evaluation import lot_figures, passing_of, window_figures
 from service.lots.figures import LotFigures
-from service.lots.laboratory import sievings
+from service.lots.laboratory import valid_sievings
 from service.lots.stones import Choice, stones_of_lot
 from service.lots.yardsticks import Request
 from service.particles.renditions import NotKeptError, preview_png
@@ -112,7 +112,7 @@ def report_data(
         api_version=API_VERSION,
         verification=wanted.rig.verification,
         is_verification_overdue=wanted.rig.is_overdue,
-        sievings=sievings(connection, lot),
+        sievings=valid_sievings(connection, lot),
         gallery=_gallery(connection, particles_dir, lot, limits_mm) if has_pictures else (),
     )
 

@@ -95,6 +95,9 @@ async def write_everything(
     await write("POST", "/lots/{lot}/sieving", sieving, "sieving", "L1", lot="L1")
     study = {"form": "factor"}
     await write("POST", "/products/{product}/correlations", study, "correlation", "basalt", product="basalt")
+    path, why = "/lots/{lot}/sieving/{sieving}/void", {"reason": "another portion"}
+    voided = await write("POST", path, why, "sieving voided", "L1", lot="L1", sieving="1")
+    assert (voided["before"]["voided_at"], voided["after"]["void_reason"]) == (None, "another portion")
     times = {"since": "2026-01-01T00:00:00Z", "until": "2026-01-02T00:00:00Z"}
     await write("POST", "/lots/{lot}/assign", times, "stones assigned", "L1", lot="L1")
     await write("POST", "/lots/{lot}/close", {}, "lot closed", "L1", lot="L1")

@@ -379,6 +379,49 @@ async def test_fractions_must_add_up_to_the_dry_mass(client: httpx.AsyncClient) 
 
 
 @pytest.mark.usefixtures("product")
+async def test_a_wrong_sieving_is_voided_or_replaced_and_counts_no_more(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    await lot_of_uniform_stones(client, store, session, 100)
+    slip = {"table": SWAPPED, "reason": "not looked at", "by": "Ann"}
+    first = (await client.post("/lots/L1/sieving", json=slip)).json()["sieving"]
+    right = {"table": PLAUSIBLE, "replaces": first}
+    assert_problem(await client.post("/lots/L1/sieving", json=right), 422, "invalid-request")
+    second = (await client.post("/lots/L1/sieving", json={**right, "reason": "a slip"})).json()
+    assert (second["voided_at"], second["void_reason"], second["replaced_by"]) == (None, None, None)
+    old, new = (await client.get("/lots/L1/sieving")).json()["items"]
+    assert (old["void_reason"], old["replaced_by"], new) == ("a slip", second["sieving"], second)
+    assert old["voided_at"] >= old["at"]
+    assert_problem(
+        await client.post("/lots/L1/sieving", json={**right, "reason": "again"}), 409, "sieving-void"
+    )
+    unknown = {**right, "replaces": 99, "reason": "again"}
+    assert_problem(await client.post("/lots/L1/sieving", json=unknown), 404, "unknown-sieving")
+    assert len((await client.get("/lots/L1/sieving")).json()["items"]) == 2
+    report = (await client.get("/lots/L1/report.csv")).text
+    assert "laboratory,passing_percent,12.5,27" in report
+    assert "laboratory,passing_percent,12.5,60" not in report
+    void = f"/lots/L1/sieving/{second['sieving']}/void"
+    done = await client.post(void, json={"reason": "the balance was off"})
+    assert (done.status_code, done.json()["void_reason"]) == (200, "the balance was off")
+    assert (await client.post(void, json={"reason": "again"})).json() == done.json()
+    assert "laboratory,passing_percent" not in (await client.get("/lots/L1/report.csv")).text
+    study = await client.post("/products/basalt-8-16/correlations", json={})
+    assert_problem(study, 409, "nothing-to-study")
+    assert_problem(
+        await client.post("/lots/L1/sieving/99/void", json={"reason": "x"}), 404, "unknown-sieving"
+    )
+    await client.post("/lots/L1/close", json={})
+    await opened(client, "L2")
+    other = f"/lots/L2/sieving/{first}/void"
+    assert_problem(await client.post(other, json={"reason": "x"}), 404, "unknown-sieving")
+    entries = (await client.get("/audit?subject=L1")).json()["items"]
+    changes = [each for each in entries if each["action"] == "sieving voided"]
+    assert [each["after"]["sieving"] for each in changes] == [first, second["sieving"]]
+    assert changes[0]["before"]["voided_at"] is None
+
+
+@pytest.mark.usefixtures("product")
 async def test_percents_of_a_table_are_stored_without_masses(
     client: httpx.AsyncClient, store: Store, session: int
 ) -> None:

@@ -3,11 +3,11 @@
 from dataclasses import replace
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Path, Query, Response
 from pydantic import BaseModel, Field, TypeAdapter
 
 from pipeline.gradation.correlation import MappingForm
-from service.base.schema import Name, RequestBody, Time
+from service.base.schema import Name, OptionalTime, RequestBody, Time
 from service.lots.comparing import Conditions, SampleStudy, sample_study
 from service.lots.laboratory import (
     MOST_SIEVES,
@@ -20,17 +20,19 @@ from service.lots.laboratory import (
     sieving_document,
     sievings_json,
     study_of,
+    void_sieving,
 )
 from service.lots.lots import find_lot
 from service.lots.plausibility import SievingReading, require_plausible, sieving_reading
 from service.lots.products import find_product
 from service.lots.routes.lot_figures import Measuring
-from service.lots.routes.lots import LotName
+from service.lots.routes.lots import LotName, VoidRequest
 from service.lots.routes.products import ProductName
 from service.lots.shifts import LotsSettings
 from service.lots.sieving_tables import read_table
 from service.web.auth import CONFIGURABLE, OPERABLE, READABLE, Who
 from service.web.context import Context
+from service.web.feeds import MAX_SEQ
 from service.web.problems import existing, problem_responses
 
 READING = TypeAdapter(SievingReading)
@@ -63,7 +65,12 @@ class SievingRequest(RequestBody):
         description="Dry mass before sieving, g: fractions that miss it by more than 1 % are refused (EN 933-1)",
     )
     reason: Reason | None = Field(
-        default=None, description="Why it is right though it contradicts the instrument's curve; kept with it"
+        default=None,
+        description="Why it is right though it contradicts the instrument's curve, or why it replaces another; is kept",
+    )
+    replaces: Annotated[int, Field(ge=1, le=MAX_SEQ)] | None = Field(
+        default=None,
+        description="Number of the sieving that it corrects, which is void from then on; needs a `reason`",
     )
     dry_run: bool = Field(
         default=False, description="True: nothing is stored, and the answer is the sieving as it was read"
@@ -85,7 +92,14 @@ class SievingDocument(BaseModel):
     by: str | None = Field(description="Who sieved")
     remark: str | None = Field(description="As it was given")
     dry_mass_g: float | None = Field(description="Dry mass before sieving, g, as it was given")
-    reason: str | None = Field(description="Why it is right though it contradicts the instrument's curve")
+    reason: str | None = Field(description="Why it is right, or why it replaced another, as it was given")
+    voided_at: OptionalTime = Field(
+        description="When it was declared void, RFC 3339 UTC; null while it counts"
+    )
+    void_reason: str | None = Field(description="Why it counts no more; null while it counts")
+    replaced_by: int | None = Field(
+        description="Number of the sieving that corrects it; null if there is none"
+    )
 
 
 class Sievings(BaseModel):
@@ -128,7 +142,25 @@ async def post_sieving(context: Context, lot: LotName, wanted: SievingRequest, a
     if wanted.dry_run:
         return Response(READING.dump_json(reading), media_type="application/json")
     require_plausible(reading, sieving.reason)
-    return sieving_document(await context.write(add_sieving, lot, sieving, asking))
+    return sieving_document(await context.write(add_sieving, lot, sieving, asking, wanted.replaces))
+
+
+@router.post(
+    "/lots/{lot}/sieving/{sieving}/void",
+    response_model=SievingDocument,
+    dependencies=OPERABLE,
+    responses=problem_responses(404),
+)
+async def post_void_sieving(
+    context: Context,
+    lot: LotName,
+    sieving: Annotated[int, Path(ge=1, le=MAX_SEQ, description="Number of the sieving")],
+    wanted: VoidRequest,
+    asking: Who,
+) -> dict[str, Any]:
+    """Declare a sieving void: it stays listed, and counts in no study, chart or report."""
+    existing(await context.store.read(find_lot, lot), "lot", lot)
+    return sieving_document(await context.write(void_sieving, lot, sieving, wanted.reason, asking))
 
 
 @router.get("/lots/{lot}/sieving", response_model=Sievings, dependencies=READABLE)
@@ -174,6 +206,8 @@ async def get_repeatability(
 def _sieving(wanted: SievingRequest) -> tuple[Sieving, str]:
     """Return the sieving of a request, and how its table was read."""
     words = wanted.model_dump(include={"sample_id", "by", "remark", "dry_mass_g", "reason"})
+    if wanted.replaces is not None and wanted.reason is None:
+        raise SievingError(f"reason: say why sieving {wanted.replaces} is replaced")
     if (wanted.retained_g is None) == (wanted.table is None):
         raise SievingError("retained_g, table: give one of them")
     if wanted.table is not None:

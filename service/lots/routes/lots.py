@@ -60,10 +60,10 @@ class CloseRequest(RequestBody):
 
 
 class VoidRequest(RequestBody):
-    """Why a lot counts no more."""
+    """Why a lot or a sieving counts no more."""
 
     reason: Annotated[str, Field(min_length=1, max_length=2000)] = Field(
-        description="Why it counts no more; kept with the lot and in the audit"
+        description="Why it counts no more; kept with it and in the audit"
     )
 
 
