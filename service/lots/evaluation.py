@@ -18,6 +18,7 @@ from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.specification import Decision, LotJudgement, Verdict, judge
 from pipeline.gradation.stones import Fate, Lot
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
+from service.lots.correlations import CorrelationDocument, correlation_in_use
 from service.lots.figures import (
     CorrelatedCurve,
     CorrelatedStep,
@@ -26,7 +27,6 @@ from service.lots.figures import (
     ProductDocument,
     Quantile,
 )
-from service.lots.laboratory import CorrelationDocument, correlations
 from service.lots.lots import LotDocument, find_lot
 from service.lots.products import Product, find_product
 from service.lots.standards import read_standards
@@ -54,8 +54,8 @@ def lot_figures(
         return None
     product = find_product(connection, record.product, record.product_version)
     stones = stones_of_lot(connection, lot, choice)
-    newest = next(iter(correlations(connection, record.product)), None)
-    figures = figures_of(stones, request, product, record, stones_per_s(connection), newest)
+    in_use = correlation_in_use(connection, record.product)
+    figures = figures_of(stones, request, product, record, stones_per_s(connection), in_use)
     asked = {"without": list(choice.without), "algorithm_version": choice.algorithm_version}
     return figures.model_copy(update=asked)
 

@@ -1,22 +1,18 @@
-"""The laboratory: sievings of portions of a lot, and how its sieves and this instrument agree for a product."""
+"""The laboratory: sievings of portions of a lot, which may be voided and replaced."""
 
 import json
 import math
 import sqlite3
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from http import HTTPStatus
 from typing import Any
 
 from pydantic import TypeAdapter
 
 from drivers.files.times import utc_now
-from pipeline.gradation.correlation import MappingForm, SievedLot, SizeMapping, Study, study
 from pipeline.gradation.curve import retained_to_passing
 from service.base.errors import InvalidRequestError, ProblemError, ProblemKind, TooManyError
-from service.base.schema import Time, served
-from service.lots.lots import LotState, lots
-from service.lots.stones import stones_of_lot
 from service.store import audit
 from service.store.schema import rows_by_name
 
@@ -26,7 +22,6 @@ MOST_SIEVES = 100
 """In one table or request; a stored one may be older than this limit."""
 MOST_LOST = 0.01
 """Share of the dry mass by which the fractions may miss it (EN 933-1)."""
-MOST_LOTS = 1000
 
 
 class SievingError(InvalidRequestError):
@@ -43,12 +38,6 @@ class SievingVoidError(ProblemError):
     """A sieving is to be replaced that is void already."""
 
     kinds = (ProblemKind("sieving-void", HTTPStatus.CONFLICT, "The sieving is void"),)
-
-
-class NothingToStudyError(ProblemError):
-    """No lot of the product has both stones and a sieving from which a size follows."""
-
-    kinds = (ProblemKind("nothing-to-study", HTTPStatus.CONFLICT, "No lot was both sieved and measured"),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,48 +107,7 @@ class StoredSieving:
     replaced_by: int | None = None  # the sieving that corrects it
 
 
-@served
-class CorrelationDocument:
-    """One version of a study: how the instrument's sizes become those of the laboratory's sieves."""
-
-    product: str
-    """Id of the product"""
-    version: int
-    """Number of the study, from 1"""
-    at: Time
-    """When it was made, RFC 3339 UTC"""
-    form: MappingForm
-    """`factor`: one factor for all sizes; otherwise a rising mapping"""
-    factor: float
-    """Sieve's size by the instrument's, mean of all sizes"""
-    instrument_mm: tuple[float, ...]
-    """Knots of the mapping; one knot is one factor"""
-    sieve_mm: tuple[float, ...]
-    """Sizes of the laboratory's sieves at the knots, mm"""
-    relative_se: tuple[float | None, ...]
-    """Standard error at each knot, from lot to lot; null with one lot"""
-    n_lots: int
-    """Lots that were sieved and measured"""
-    n_points: int
-    """Points of all curves that were compared"""
-    raw_rmse: float
-    """Points of passing by which raw curves miss the laboratory's"""
-    raw_bias: float
-    """Mean of raw minus the laboratory's passing, percentage points"""
-    rmse: float
-    """The same with the mapping, on the lots that it was fitted to"""
-    held_out_rmse: float | None
-    """Each lot by the mapping of the others; null with one lot"""
-    held_out_bias: float | None
-    """Mean of these differences, each lot by the mapping of the others, percentage points; null with one
-    lot"""
-
-    @property
-    def mapping(self) -> SizeMapping:
-        return SizeMapping(**{each.name: getattr(self, each.name) for each in fields(SizeMapping)})
-
-
-SIEVING, STUDY = TypeAdapter(Sieving), TypeAdapter(Study)
+SIEVING = TypeAdapter(Sieving)
 
 
 def add_sieving(
@@ -252,52 +200,3 @@ def _sieving_of(connection: sqlite3.Connection, lot: str, number: int) -> Stored
         if each.sieving == number:
             return each
     raise UnknownSievingError(f"lot {lot} has no sieving {number}")
-
-
-def study_of(connection: sqlite3.Connection, product: str, form: MappingForm) -> Study:
-    """Study all lots of a product that were sieved, void ones left out; takes long, so not on the writer's connection.
-
-    Raises `NothingToStudyError` if no lot has both stones and a sieving that tell a size.
-    """
-    names = [
-        each.lot
-        for each in lots(connection, None, product, None, MOST_LOTS)
-        if each.state is not LotState.VOID
-    ]
-    sieved = [
-        SievedLot(lot=stones_of_lot(connection, name).lot, passing=each.document.passing_percent)
-        for name in names
-        for each in valid_sievings(connection, name)
-    ]
-    try:
-        return study([each for each in sieved if each.lot.n_measured], form)
-    except ValueError as err:
-        raise NothingToStudyError(f"product {product}: {err}") from err
-
-
-def keep_study(connection: sqlite3.Connection, product: str, found: Study, who: str) -> CorrelationDocument:
-    """Store a study as the newest version of the product's."""
-    (version,) = connection.execute(
-        "SELECT coalesce(max(version), 0) + 1 FROM correlations WHERE product = ?", (product,)
-    ).fetchone()
-    at = utc_now()
-    connection.execute(
-        "INSERT INTO correlations (product, version, at, document) VALUES (?, ?, ?, ?)",
-        (product, version, at, json.dumps(asdict(found))),
-    )
-    audit.note(connection, who, "correlation", product, after=asdict(found))
-    return _correlation(product, version, at, found)
-
-
-def correlations(connection: sqlite3.Connection, product: str) -> list[CorrelationDocument]:
-    """Return all versions of a product's study, the newest first."""
-    rows = connection.execute(
-        "SELECT version, at, document FROM correlations WHERE product = ? ORDER BY version DESC", (product,)
-    )
-    return [_correlation(product, version, at, STUDY.validate_json(text)) for version, at, text in rows]
-
-
-def _correlation(product: str, version: int, at: str, found: Study) -> CorrelationDocument:
-    figures, factor = asdict(found), found.mapping.factor
-    figures |= figures.pop("mapping")
-    return CorrelationDocument(product=product, version=version, at=at, factor=factor, **figures)

@@ -95,6 +95,16 @@ async def write_everything(
     await write("POST", "/lots/{lot}/sieving", sieving, "sieving", "L1", lot="L1")
     study = {"form": "factor"}
     await write("POST", "/products/{product}/correlations", study, "correlation", "basalt", product="basalt")
+    studies = "/products/{product}/correlations/{version}/"
+    of = {"product": "basalt", "version": "1"}
+    await store.write(
+        lambda connection: connection.execute("UPDATE correlations SET obstacles = '[]'") and None
+    )
+    taken = await write("POST", f"{studies}accept", None, "correlation accepted", "basalt", **of)
+    assert (taken["before"]["state"], taken["after"]["accepted_by"]) == ("draft", "key boss")
+    why = {"reason": "new screens"}
+    taken = await write("POST", f"{studies}withdraw", why, "correlation withdrawn", "basalt", **of)
+    assert (taken["before"]["state"], taken["after"]["reason"]) == ("accepted", "new screens")
     path, why = "/lots/{lot}/sieving/{sieving}/void", {"reason": "another portion"}
     voided = await write("POST", path, why, "sieving voided", "L1", lot="L1", sieving="1")
     assert (voided["before"]["voided_at"], voided["after"]["void_reason"]) == (None, "another portion")

@@ -1,6 +1,8 @@
 """Products, lots and their figures over REST."""
 
+import json
 import re
+import sqlite3
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -254,6 +256,116 @@ async def test_the_audit_names_the_key(store: Store, control: FakeControl) -> No
     assert entry["after"]["title"] == PRODUCT["title"]
 
 
+async def sieved_lots(
+    client: httpx.AsyncClient,
+    store: Store,
+    session: int,
+    n_lots: int,
+    n_stones: int = 100,
+    factor: float = 0.97,
+    first: int = 1,
+) -> httpx.Response:
+    """Make closed lots whose stones sieves find smaller by a factor; return the answer to the first sieving."""
+    rng = np.random.default_rng(4)
+    answers = []
+    for number in range(first, first + n_lots):
+        sizes_mm = rng.uniform(6.0, 18.0, n_stones)
+        await opened(client, f"L{number}")
+        for sequence, size_mm in enumerate(sizes_mm, start=1000 * number):
+            await add(store, session, sequence, stone(float(size_mm)))
+        masses, sieved_mm = sizes_mm**3, factor * sizes_mm
+        retained_g = {
+            f"{sieve:g}": float(masses[(sieved_mm > sieve) & (sieved_mm <= above)].sum())
+            for sieve, above in ((16, 99), (12.5, 16), (10, 12.5), (8, 10))
+        }
+        body = {"retained_g": retained_g, "pan_g": float(masses[sieved_mm <= 8].sum()), "by": "lab"}
+        answers.append(await client.post(f"/lots/L{number}/sieving", json=body))
+        await client.post(f"/lots/L{number}/close", json={})
+    return answers[0]
+
+
+@pytest.mark.usefixtures("product")
+async def test_a_study_with_obstacles_is_no_figure(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    path = "/products/basalt-8-16/correlations"
+    await sieved_lots(client, store, session, 1, n_stones=60)
+    alone = (await client.post(path, json={})).json()
+    few, lots, held_out = alone["obstacles"]
+    assert "lot L1 has 60 measured stones" in few
+    assert "1 lots, fewer than 5" in lots
+    assert "no held-out error" in held_out
+    refused = await client.post(f"{path}/1/accept")
+    assert_problem(refused, 409, "correlation-conflict")
+    assert "lot L1 has 60" in refused.json()["detail"]
+    assert (await client.get("/lots/L1/gradation")).json()["correlated"] is None
+    await sieved_lots(client, store, session, 5, factor=1.0, first=2)
+    raw_is_as_good = (await client.post(path, json={})).json()
+    assert raw_is_as_good["n_lots"] == 5, "a lot of few stones does not count where others have enough"
+    (not_better,) = raw_is_as_good["obstacles"]
+    assert "not less than the raw curves" in not_better
+    await client.post("/lots/L2/void", json={"reason": "wrong belt"})
+    assert (await client.post(path, json={})).json()["n_lots"] == 4
+    twice = {"table": "Sieve mm;Passing %\n16;62\n12,5;27\n8;5", "reason": "another portion"}
+    await client.post("/lots/L3/sieving", json=twice)
+    assert (await client.post(path, json={})).json()["n_lots"] == 4, "portions of a lot are no further lots"
+    for act, body in (("accept", None), ("withdraw", {"reason": "x"})):
+        assert_problem(await client.post(f"{path}/9/{act}", json=body), 404, "unknown-correlation")
+        assert_problem(
+            await client.post(f"/products/no/correlations/1/{act}", json=body), 404, "unknown-product"
+        )
+
+
+@pytest.mark.usefixtures("product")
+async def test_the_newest_accepted_study_is_in_use_until_it_is_withdrawn(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    path = "/products/basalt-8-16/correlations"
+    await sieved_lots(client, store, session, 5)
+
+    async def in_use() -> int | None:
+        listed = (await client.get(path)).json()["items"]
+        used = [each["version"] for each in listed if each["is_in_use"]]
+        correlated = (await client.get("/lots/L1/gradation")).json()["correlated"]
+        assert used == ([] if correlated is None else [correlated["version"]])
+        return used[0] if used else None
+
+    for _ in range(3):
+        await client.post(path, json={})
+    assert await in_use() is None
+    for version, used in ((2, 2), (1, 2), (3, 3)):
+        assert (await client.post(f"{path}/{version}/accept")).status_code == 200
+        assert await in_use() == used
+    gone = (await client.post(f"{path}/3/withdraw", json={"reason": "new screens"})).json()
+    assert (gone["state"], gone["reason"], gone["is_in_use"]) == ("withdrawn", "new screens", False)
+    assert gone["accepted_at"] is not None and gone["withdrawn_at"] is not None
+    assert await in_use() == 2
+    assert_problem(await client.post(f"{path}/3/accept"), 409, "correlation-conflict")
+    for version in (1, 2):
+        await client.post(f"{path}/{version}/withdraw", json={"reason": "new screens"})
+    assert await in_use() is None
+
+
+@pytest.mark.usefixtures("product")
+async def test_studies_of_earlier_versions_stay_in_use(client: httpx.AsyncClient, store: Store) -> None:
+    mapping = {"instrument_mm": [1.0], "sieve_mm": [0.95], "relative_se": [None]}
+    figures = dict.fromkeys(("raw_rmse", "raw_bias", "rmse"), 1.0)
+    held_out = dict.fromkeys(("held_out_rmse", "held_out_bias"))
+    document = {"form": "factor", "mapping": mapping, "n_lots": 1, "n_points": 3, **figures, **held_out}
+
+    def keep(connection: sqlite3.Connection) -> None:
+        connection.execute(
+            "INSERT INTO correlations (product, version, at, document) VALUES ('basalt-8-16', 1, ?, ?)",
+            ("2026-01-01T00:00:00Z", json.dumps(document)),
+        )
+
+    await store.write(keep)
+    (study,) = (await client.get("/products/basalt-8-16/correlations")).json()["items"]
+    assert (study["state"], study["is_in_use"], study["obstacles"]) == ("accepted", True, [])
+    await opened(client)
+    assert (await client.get("/lots/L1/gradation")).json()["correlated"]["factor"] == pytest.approx(0.95)
+
+
 @pytest.mark.usefixtures("product")
 async def test_the_laboratorys_curve_and_the_correlated_one_stand_beside_the_raw_one(
     client: httpx.AsyncClient, store: Store, session: int, monkeypatch: pytest.MonkeyPatch
@@ -267,24 +379,15 @@ async def test_the_laboratorys_curve_and_the_correlated_one_stand_beside_the_raw
     evaluate_once = evaluation.evaluate
     monkeypatch.setattr(evaluation, "evaluate", evaluate)
     assert_problem(await client.post("/products/basalt-8-16/correlations", json={}), 409, "nothing-to-study")
-    rng = np.random.default_rng(4)
-    sizes_mm = rng.uniform(6.0, 18.0, 150)
-    await opened(client)
-    for sequence, size_mm in enumerate(sizes_mm, start=1):
-        await add(store, session, sequence, stone(float(size_mm)))
-    masses = sizes_mm**3
-    retained = {
-        sieve: float(masses[(0.97 * sizes_mm > sieve) & (0.97 * sizes_mm <= above)].sum())
-        for sieve, above in ((16, 99), (12.5, 16), (10, 12.5), (8, 10))
-    }
-    rest = float(masses[0.97 * sizes_mm <= 8].sum())
-    body = {"retained_g": {f"{sieve:g}": grams for sieve, grams in retained.items()}, "pan_g": rest}
-    sieving = await client.post("/lots/L1/sieving", json={**body, "by": "lab"})
+    sieving = await sieved_lots(client, store, session, 5)
     assert sieving.status_code == 201
-    assert sieving.json()["mass_g"] == pytest.approx(masses.sum())
     assert (await client.get("/lots/L1/sieving")).json()["items"] == [sieving.json()]
-    study = (await client.post("/products/basalt-8-16/correlations", json={"form": "factor"})).json()
-    assert study["factor"] == pytest.approx(0.97, abs=0.005)
+    draft = (await client.post("/products/basalt-8-16/correlations", json={"form": "factor"})).json()
+    assert draft["factor"] == pytest.approx(0.97, abs=0.01)
+    assert (draft["state"], draft["is_in_use"], draft["obstacles"]) == ("draft", False, [])
+    assert (await client.get("/lots/L1/gradation")).json()["correlated"] is None
+    study = (await client.post("/products/basalt-8-16/correlations/1/accept")).json()
+    assert (study["state"], study["is_in_use"], study["accepted_by"]) == ("accepted", True, "this machine")
     assert (await client.get("/products/basalt-8-16/correlations")).json()["items"] == [study]
     evaluated.clear()
     figures = (await client.get("/lots/L1/gradation")).json()
@@ -293,6 +396,7 @@ async def test_the_laboratorys_curve_and_the_correlated_one_stand_beside_the_raw
     raw = next(step for step in figures["curve"] if step["sieve_mm"] == 10.0)
     found = sieving.json()["passing_percent"]["10"]
     assert abs(at_ten["passing_percent"]["value"] - found) < abs(raw["passing_percent"]["value"] - found)
+    body = {"retained_g": {"16": 1.0}}
     for wrong in ({}, {**body, "table": "16;1"}, {"table": "16;-1"}, {"retained_g": {"16": -1}}):
         assert_problem(await client.post("/lots/L1/sieving", json=wrong), 422, "invalid-request")
     assert_problem(await client.post("/lots/L9/sieving", json=body), 404, "unknown-lot")

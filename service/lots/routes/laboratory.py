@@ -9,17 +9,21 @@ from pydantic import BaseModel, Field, TypeAdapter
 from pipeline.gradation.correlation import MappingForm
 from service.base.schema import Name, OptionalTime, RequestBody, Time
 from service.lots.comparing import Conditions, SampleStudy, sample_study
+from service.lots.correlations import (
+    CorrelationDocument,
+    accept_study,
+    correlations,
+    keep_study,
+    study_of,
+    withdraw_study,
+)
 from service.lots.laboratory import (
     MOST_SIEVES,
-    CorrelationDocument,
     Sieving,
     SievingError,
     add_sieving,
-    correlations,
-    keep_study,
     sieving_document,
     sievings_json,
-    study_of,
     void_sieving,
 )
 from service.lots.lots import find_lot
@@ -116,8 +120,17 @@ class StudyRequest(RequestBody):
     )
 
 
+class WithdrawRequest(RequestBody):
+    """Why a correlation study is used no more."""
+
+    reason: Reason = Field(description="Why; kept with the study and in the audit")
+
+
+StudyVersion = Annotated[int, Path(ge=1, le=MAX_SEQ, description="Number of the study")]
+
+
 class Correlations(BaseModel):
-    """All versions of a product's study, the newest first; the newest is in use."""
+    """All versions of a product's study, the newest first; the newest accepted one is in use."""
 
     items: list[CorrelationDocument] = Field(description="Newest first")
 
@@ -175,7 +188,7 @@ async def list_sievings(context: Context, lot: LotName) -> Response:
 async def post_correlation(
     context: Context, product: ProductName, wanted: StudyRequest, asking: Who
 ) -> CorrelationDocument:
-    """Correlate the instrument with a product's sievings; lots show both curves from now on."""
+    """Correlate the instrument with a product's sievings: a draft, which no figure uses until it is accepted."""
     existing(await context.store.read(find_product, product), "product", product)
     context.store.require_writable()
     found = await context.read_beside(study_of, product, wanted.form)
@@ -187,6 +200,32 @@ async def list_correlations(context: Context, product: ProductName) -> Correlati
     """List the correlation studies of a product, newest first."""
     existing(await context.store.read(find_product, product), "product", product)
     return Correlations(items=await context.store.read(correlations, product))
+
+
+@router.post(
+    "/products/{product}/correlations/{version}/accept",
+    dependencies=CONFIGURABLE,
+    responses=problem_responses(404),
+)
+async def post_accepted_correlation(
+    context: Context, product: ProductName, version: StudyVersion, asking: Who
+) -> CorrelationDocument:
+    """Accept a correlation study: lots show both curves from now on. 409 while it has obstacles."""
+    existing(await context.store.read(find_product, product), "product", product)
+    return await context.write(accept_study, product, version, asking)
+
+
+@router.post(
+    "/products/{product}/correlations/{version}/withdraw",
+    dependencies=CONFIGURABLE,
+    responses=problem_responses(404),
+)
+async def post_withdrawn_correlation(
+    context: Context, product: ProductName, version: StudyVersion, wanted: WithdrawRequest, asking: Who
+) -> CorrelationDocument:
+    """Withdraw a correlation study: the next older accepted one is in use again, or raw curves alone."""
+    existing(await context.store.read(find_product, product), "product", product)
+    return await context.write(withdraw_study, product, version, wanted.reason, asking)
 
 
 @router.get("/repeatability", dependencies=READABLE, responses=problem_responses(404, 409))
