@@ -13,6 +13,7 @@ from rich.table import Column, Table
 from drivers.files.durable import write_file
 from service.base.errors import UsageError
 from service.commands.daemon_client import AsJson, DaemonClient
+from service.commands.laboratory import correlations, sieving, sievings
 from service.commands.options import SizeOptions, with_options
 
 FORMATS = ("html", "pdf", "csv", "xlsx")
@@ -22,6 +23,8 @@ OPEN = ("insufficient", "undecided")
 command = typer.Typer(
     no_args_is_help=True, help="Products and lots of a running daemon: gradation, verdict, report."
 )
+for of_laboratory in (sieving, sievings, correlations):
+    command.command()(of_laboratory)
 
 Lot = Annotated[str, typer.Argument(metavar="LOT", help="Name of the lot.")]
 SieveSet = Annotated[str | None, typer.Option("--sieves", help="Sieve set, in the place of the product's.")]

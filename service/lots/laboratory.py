@@ -3,7 +3,7 @@
 import json
 import math
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from http import HTTPStatus
 from typing import Any
@@ -132,6 +132,15 @@ def add_sieving(
     if replaces is not None:
         void_sieving(connection, lot, replaces, sieving.reason or "", who, replaced_by=number)
     return StoredSieving(sieving=number, at=at, document=sieving)
+
+
+def add_history(
+    connection: sqlite3.Connection, found: Sequence[tuple[str, Sieving]], who: str
+) -> list[dict[str, Any]]:
+    """Store sievings of lots, all of them or none, and return their documents; raises as `add_sieving` does."""
+    return [
+        sieving_document(add_sieving(connection, lot, sieving, who)) | {"lot": lot} for lot, sieving in found
+    ]
 
 
 def void_sieving(

@@ -1,6 +1,7 @@
 """A sieving beside the instrument's own curve of the lot: read back before it is stored, refused if implausible."""
 
 import sqlite3
+from dataclasses import replace
 from http import HTTPStatus
 
 from pipeline.gradation.estimates import Estimate
@@ -8,9 +9,13 @@ from pipeline.gradation.sieves import MeasuredRange
 from service.base.errors import ProblemError, ProblemKind
 from service.base.schema import served
 from service.lots.evaluation import passing_of
-from service.lots.laboratory import Sieving
+from service.lots.laboratory import Sieving, SievingError
+from service.lots.lots import find_lot
+from service.lots.sieving_tables import read_tables
 from service.lots.stones import stones_of_lot
 
+MOST_TABLES = 200
+"""Lots in one table: each one's curve is computed before anything is stored."""
 LEAST_STONES = 50
 """Measured stones from which on the instrument's curve can contradict a sieving."""
 MOST_POINTS = 15.0
@@ -47,6 +52,8 @@ class SievingStep:
 class SievingReading:
     """A sieving as it was read, beside the instrument's curve of its lot; nothing of it is stored."""
 
+    lot: str
+    """Name of the lot"""
     understood: str
     """How columns and numbers were taken, in words"""
     mass_g: float | None
@@ -78,12 +85,34 @@ def sieving_reading(
     )
     odd = [_contradiction(step) for step in steps if stones.n_measured >= LEAST_STONES and _contradicts(step)]
     return SievingReading(
+        lot=lot,
         understood=understood,
         mass_g=sieving.mass_g,
         dry_mass_g=sieving.dry_mass_g,
         sieves=steps,
         implausible=f"lot {lot}: {'; '.join(odd)}" if odd else None,
     )
+
+
+def history_of(
+    connection: sqlite3.Connection, table: str, reason: str | None, by: str | None, measured: MeasuredRange
+) -> list[tuple[Sieving, SievingReading]]:
+    """Return the sievings of a table with a column of lots, each beside the instrument's curve of its lot.
+
+    Raises `SievingError` if the table cannot be read, or names a lot that there is not; it names the line.
+    """
+    tables = read_tables(table)
+    if len(tables) > MOST_TABLES:
+        raise SievingError(f"table: has {len(tables)} lots, more than {MOST_TABLES}: send it in parts")
+    found = []
+    for lot, read in tables.items():
+        if lot is None:
+            raise SievingError("table: the head must name a column 'Lot', 'Los' or 'Charge'")
+        if find_lot(connection, lot) is None:
+            raise SievingError(f"table: line {read.line}: there is no lot {lot[:64]!r}")
+        sieving = replace(read.sieving, reason=reason, by=by)
+        found.append((sieving, sieving_reading(connection, lot, sieving, read.understood, measured)))
+    return found
 
 
 def require_plausible(reading: SievingReading, reason: str | None) -> None:

@@ -93,6 +93,8 @@ async def write_everything(
         await add(store, session, sequence, stone(8.0 + sequence / 4))
     sieving = {"retained_g": {"12.5": 40.0, "10": 30.0}, "pan_g": 30.0}
     await write("POST", "/lots/{lot}/sieving", sieving, "sieving", "L1", lot="L1")
+    history = {"table": "Lot;Sieve mm;g\nL1;12.5;40\nL1;10;30\nL1;pan;30"}
+    await write("POST", "/sievings", history, "sieving", "L1")
     study = {"form": "factor"}
     await write("POST", "/products/{product}/correlations", study, "correlation", "basalt", product="basalt")
     studies = "/products/{product}/correlations/{version}/"

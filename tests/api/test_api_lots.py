@@ -526,6 +526,41 @@ async def test_a_wrong_sieving_is_voided_or_replaced_and_counts_no_more(
 
 
 @pytest.mark.usefixtures("product")
+async def test_the_history_of_many_lots_is_stored_as_a_whole_or_not_at_all(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    await lot_of_uniform_stones(client, store, session, 100)
+    await client.post("/lots/L1/close", json={})
+    await opened(client, "L2")
+    rows = PLAUSIBLE.splitlines()[1:]
+    table = "\n".join(["Los;Sieb mm;Durchgang %", *(f"{lot};{row}" for lot in ("L1", "L2") for row in rows)])
+    for lot, line in (("L9", 5), ("L1.", 5)):
+        refused = await client.post("/sievings", json={"table": table.replace("L2", lot)})
+        assert_problem(refused, 422, "invalid-request")
+        assert f"line {line}" in refused.json()["detail"]
+    slip = table.replace("L1;12,5;27", "L1;12,5;60")
+    assert_problem(await client.post("/sievings", json={"table": slip}), 409, "implausible-sieving")
+    assert_problem(await client.post("/sievings", json={"table": PLAUSIBLE}), 422, "invalid-request")
+    dry = await client.post("/sievings", json={"table": slip, "dry_run": True})
+    assert dry.status_code == 200
+    assert [(each["lot"], each["implausible"] is None) for each in dry.json()["items"]] == [
+        ("L1", False),
+        ("L2", True),
+    ]
+    for lot in ("L1", "L2"):
+        assert (await client.get(f"/lots/{lot}/sieving")).json()["items"] == []
+    stored = await client.post("/sievings", json={"table": table, "by": "Ann"})
+    assert stored.status_code == 201
+    items = stored.json()["items"]
+    assert [(each.pop("lot"), each["by"]) for each in items] == [
+        ("L1", "Ann"),
+        ("L2", "Ann"),
+    ]
+    for lot, item in zip(("L1", "L2"), items, strict=True):
+        assert (await client.get(f"/lots/{lot}/sieving")).json()["items"] == [item]
+
+
+@pytest.mark.usefixtures("product")
 async def test_percents_of_a_table_are_stored_without_masses(
     client: httpx.AsyncClient, store: Store, session: int
 ) -> None:

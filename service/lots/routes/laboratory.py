@@ -21,13 +21,14 @@ from service.lots.laboratory import (
     MOST_SIEVES,
     Sieving,
     SievingError,
+    add_history,
     add_sieving,
     sieving_document,
     sievings_json,
     void_sieving,
 )
 from service.lots.lots import find_lot
-from service.lots.plausibility import SievingReading, require_plausible, sieving_reading
+from service.lots.plausibility import SievingReading, history_of, require_plausible, sieving_reading
 from service.lots.products import find_product
 from service.lots.routes.lot_figures import Measuring
 from service.lots.routes.lots import LotName, VoidRequest
@@ -104,6 +105,39 @@ class SievingDocument(BaseModel):
     replaced_by: int | None = Field(
         description="Number of the sieving that corrects it; null if there is none"
     )
+
+
+class HistoryRequest(RequestBody):
+    """Sievings of many lots in one table."""
+
+    table: Annotated[str, Field(max_length=500_000)] = Field(
+        description="A table as of one sieving, with a column `lot`, `Los` or `Charge`: a sieving of each lot"
+    )
+    by: Name | None = Field(default=None, description="Who sieved")
+    reason: Reason | None = Field(
+        default=None, description="Why they are right where they contradict the instrument's curve"
+    )
+    dry_run: bool = Field(
+        default=False, description="True: nothing is stored, and the answer is the sievings as they were read"
+    )
+
+
+class LotSieving(SievingDocument):
+    """A sieving with the name of its lot."""
+
+    lot: str = Field(description="Name of the lot")
+
+
+class LotSievings(BaseModel):
+    """Sievings that were stored together."""
+
+    items: list[LotSieving] = Field(description="In the order of the table")
+
+
+class SievingReadings(BaseModel):
+    """Sievings of a table as they were read; nothing of it is stored."""
+
+    items: list[SievingReading] = Field(description="In the order of the table")
 
 
 class Sievings(BaseModel):
@@ -200,6 +234,28 @@ async def list_correlations(context: Context, product: ProductName) -> Correlati
     """List the correlation studies of a product, newest first."""
     existing(await context.store.read(find_product, product), "product", product)
     return Correlations(items=await context.store.read(correlations, product))
+
+
+@router.post(
+    "/sievings",
+    status_code=201,
+    response_model=LotSievings,
+    dependencies=OPERABLE,
+    responses={
+        200: {"model": SievingReadings, "description": "With `dry_run`: the sievings as they were read"}
+    },
+)
+async def post_sievings(context: Context, wanted: HistoryRequest, asking: Who) -> Any:
+    """Store sievings of many lots from one table: all of them or, if a line is wrong, none."""
+    measured = context.part(LotsSettings).measured
+    found = await context.read_beside(history_of, wanted.table, wanted.reason, wanted.by, measured)
+    if wanted.dry_run:
+        items = SievingReadings(items=[reading for _, reading in found])
+        return Response(items.model_dump_json(), media_type="application/json")
+    for sieving, reading in found:
+        require_plausible(reading, sieving.reason)
+    pairs = [(reading.lot, sieving) for sieving, reading in found]
+    return {"items": await context.write(add_history, pairs, asking)}
 
 
 @router.post(

@@ -1,6 +1,12 @@
 """A sieving of the laboratory, and its place beside the instrument's curve."""
 
-from service.lots.laboratory import Sieving
+import sqlite3
+
+import pytest
+
+from pipeline.gradation.sieves import OF_THE_RIG
+from service.lots.laboratory import Sieving, SievingError
+from service.lots.plausibility import history_of
 
 
 def test_what_passes_a_sieve_lies_below_it() -> None:
@@ -10,3 +16,26 @@ def test_what_passes_a_sieve_lies_below_it() -> None:
     assert [round(passing[sieve_mm], 9) for sieve_mm in sorted(passing, reverse=True)] == [
         100, 95, 80, 55, 30, 15, 5, 1,
     ]  # fmt: skip
+
+
+def test_a_history_has_a_bound() -> None:
+    rows = "".join(f"\nL{number};8;3" for number in range(201))
+    with pytest.raises(SievingError, match="201 lots, more than 200"):
+        history_of(sqlite3.connect(":memory:"), f"Lot;Sieve mm;g{rows}", None, None, OF_THE_RIG)
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({}, "needs sieves"),
+        ({"given_passing_percent": {8.0: 50.0, 4.0: 60.0}}, "fall"),
+        ({"given_passing_percent": {8.0: 101.0}}, "0 to 100"),
+        ({"given_passing_percent": {8.0: 50.0}, "retained_g": {8.0: 50.0}}, "without masses"),
+        ({"given_passing_percent": {8.0: 50.0}, "dry_mass_g": 1.0}, "dry_mass_g"),
+        ({"retained_g": {8.0: 0.0}}, "nothing was weighed"),
+        ({"retained_g": {8.0: 1e7}}, "8 mm"),
+    ],
+)
+def test_a_sieving_that_says_nothing_or_two_things_is_refused(given: dict[str, object], named: str) -> None:
+    with pytest.raises(SievingError, match=named):
+        Sieving(**given)
