@@ -1,6 +1,6 @@
 """The gradation of a lot: curve, quantiles and indices, each with its uncertainty."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from pipeline.gradation.curve import (
@@ -15,7 +15,13 @@ from pipeline.gradation.curve import (
 )
 from pipeline.gradation.estimates import NOT_MEASURED, Estimate
 from pipeline.gradation.estimators import effective_number, sample_of
-from pipeline.gradation.indices import EN_933_3, FlakinessFraction, ShapeIndices, indices_of
+from pipeline.gradation.indices import (
+    EN_933_3,
+    GRAPHIC_PERCENTS,
+    FlakinessFraction,
+    ShapeIndices,
+    indices_of,
+)
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
 from pipeline.gradation.stones import Lot, Unmeasured, unmeasured_mass
 
@@ -58,16 +64,18 @@ def evaluate(
     curve = curve_of(sample, apertures_mm, measured)
     passing = {point.sieve_mm: point.by_mass.value for point in curve if point.by_mass.value is not None}
 
-    def quantiles(inverse: Inverse) -> dict[int, SizeQuantile | None]:
-        return {percent: quantile(sample, percent, inverse, measured) for percent in PERCENTS}
+    def quantiles(inverse: Inverse, percents: Collection[int]) -> dict[int, SizeQuantile | None]:
+        return {percent: quantile(sample, percent, inverse, measured) for percent in percents}
 
-    exact = quantiles(Inverse(size_mm=lambda percent: exact_mm(lot, percent)))
+    from_stones = Inverse(size_mm=lambda percent: exact_mm(lot, percent))
+    exact = quantiles(from_stones, {*PERCENTS, *GRAPHIC_PERCENTS})
     interpolated = quantiles(
         Inverse(
             size_mm=lambda percent: interpolated_mm(passing, percent),
             low=min(passing.values(), default=100.0),
             high=max(passing.values(), default=0.0),
-        )
+        ),
+        PERCENTS,
     )
     volumes_mm3 = lot.column("volume_mm3")
     return Gradation(
@@ -85,4 +93,5 @@ def evaluate(
 
 
 def _sizes(quantiles: Mapping[int, SizeQuantile | None]) -> dict[int, Estimate]:
-    return {percent: NOT_MEASURED if of is None else of.size_mm for percent, of in quantiles.items()}
+    found = {percent: quantiles[percent] for percent in PERCENTS}
+    return {percent: NOT_MEASURED if of is None else of.size_mm for percent, of in found.items()}

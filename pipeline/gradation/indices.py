@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from math import exp, hypot, sqrt
+from math import exp, hypot, log, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -74,6 +74,12 @@ FINENESS_SIEVES_MM = (0.15, 0.3, 0.6, 1.18, 2.36, 4.75, 9.5, 19.0, 37.5, 75.0, 1
 """Sieves of the fineness modulus, ASTM C125."""
 
 
+GRAPHIC_PERCENTS = (5, 16, 25, 50, 75, 84, 95)
+"""Percent of the mass that is coarser than each φ of Folk and Ward: 100 less the percent that passes."""
+LOG_STEP = 1e-6
+"""Step of the logarithm of a size over which slopes are taken."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShapeIndices:
     """Figures of the whole lot beside its curve."""
@@ -87,6 +93,15 @@ class ShapeIndices:
     """Cu = D60 / D10, of the exact sizes"""
     curvature: Estimate
     """Cc = D30² / (D10 D60), of the exact sizes"""
+    graphic_mean_phi: Estimate
+    """Folk and Ward (1957): Mz = (φ16 + φ50 + φ84) / 3, of the exact sizes; φ = -log2 of the size in mm, counted from
+    the coarse end, as GRADISTAT prints them (Blott and Pye 2001)"""
+    graphic_sorting_phi: Estimate
+    """Folk and Ward: (φ84 - φ16) / 4 + (φ95 - φ5) / 6.6"""
+    graphic_skewness: Estimate
+    """Folk and Ward: (φ16 + φ84 - 2 φ50) / 2 (φ84 - φ16) + (φ5 + φ95 - 2 φ50) / 2 (φ95 - φ5); above 0: a fine tail"""
+    graphic_kurtosis: Estimate
+    """Folk and Ward: (φ95 - φ5) / 2.44 (φ75 - φ25); 1 of a lognormal gradation"""
     d32_mm: Estimate
     """ISO 9276-2, mean by surface of the sieve size d: sum d³ / sum d²"""
     d43_mm: Estimate
@@ -122,12 +137,19 @@ def indices_of(
     `fractions` are those of the flakiness index; those of ASTM D4791 lie between neighbouring apertures.
     """
     d10, d30, d60 = (quantiles.get(percent) for percent in (10, 30, 60))
-
+    graphic = [
+        _of_sizes(figure, [quantiles.get(100 - percent) for percent in GRAPHIC_PERCENTS])
+        for figure in (_graphic_mean, _graphic_sorting, _graphic_skewness, _graphic_kurtosis)
+    ]
     tested = tuple(fractions_of(sample, apertures_mm, measured))
     return ShapeIndices(
         fineness_modulus=ratio_of_sums(sample, _fineness(measured)),
         uniformity=_power_product(((d60, 1), (d10, -1))),
         curvature=_power_product(((d30, 2), (d10, -1), (d60, -1))),
+        graphic_mean_phi=graphic[0],
+        graphic_sorting_phi=graphic[1],
+        graphic_skewness=graphic[2],
+        graphic_kurtosis=graphic[3],
         d32_mm=ratio_of_sums(sample, _moments(3)),
         d43_mm=ratio_of_sums(sample, _moments(4)),
         flakiness_percent=share_percent(sample, is_flaky(measured, fractions)),
@@ -203,20 +225,63 @@ def _fineness(measured: MeasuredRange) -> Callable[[Lot], tuple[Values, Values]]
     return terms
 
 
-def _power_product(factors: tuple[tuple[SizeQuantile | None, int], ...]) -> Estimate:
-    """Return a product of powers of quantiles; as its stones are the same, what moves one may move the others."""
-    if any(quantile is None for quantile, _ in factors):
+def _power_product(factors: Sequence[tuple[SizeQuantile | None, int]]) -> Estimate:
+    """Return a product of powers of quantiles, whose interval is symmetric on a logarithmic scale."""
+    powers = np.array([power for _, power in factors])
+    found = _of_sizes(lambda logs: float(powers @ logs), [quantile for quantile, _ in factors])
+    if found.value is None or found.low is None or found.high is None:
         return NOT_MEASURED
-    known = [(quantile, power) for quantile, power in factors if quantile is not None]
-    value = float(np.prod([(quantile.size_mm.value or 0.0) ** power for quantile, power in known]))
-    influence = sum(power * quantile.log_influence for quantile, power in known)
-    log_errors = Errors(
+    value, interval = exp(found.value), (exp(found.low), exp(found.high))
+    return estimate(value, interval, found.errors.times(value), found.n_stones, found.n_effective)
+
+
+def _of_sizes(figure: Callable[[Values], float], sizes: Sequence[SizeQuantile | None]) -> Estimate:
+    """Return a figure of the logarithms of sizes D_p; as their stones are the same, what moves one may move others."""
+    known = [size for size in sizes if size is not None]
+    logs = np.log([size.size_mm.value or np.nan for size in known])
+    if len(known) < len(sizes):
+        return NOT_MEASURED
+    with np.errstate(divide="ignore", invalid="ignore"):  # of stones of one size
+        value = figure(logs)
+        slopes = np.array(
+            [figure(logs + step) - figure(logs - step) for step in LOG_STEP * np.eye(len(logs))]
+        )
+    slopes /= 2 * LOG_STEP
+    if not np.isfinite([value, *slopes]).all():
+        return NOT_MEASURED
+    influence = sum(slope * size.log_influence for slope, size in zip(slopes, known, strict=True))
+    scale_sd = float(np.mean([size.log_errors.systematic for size in known]))
+    errors = Errors(
         sampling=sqrt(float(np.sum(np.square(influence)))),
-        measuring=hypot(*(power * quantile.log_errors.measuring for quantile, power in known)),
-        systematic=0.0,  # a scale that is common to all stones cancels
+        measuring=hypot(*(slopes * [size.log_errors.measuring for size in known])),
+        systematic=abs(float(slopes.sum()))
+        * scale_sd,  # a scale that is common to all stones cancels in ratios
     )
-    of = known[0][0].size_mm
-    reach = exp(standard_errors_to_either_end(of.n_effective - 1) * log_errors.joined)
-    return estimate(
-        value, (value / reach, value * reach), log_errors.times(value), of.n_stones, of.n_effective
-    )
+    of = known[0].size_mm
+    half = standard_errors_to_either_end(of.n_effective - 1) * errors.joined
+    return estimate(value, (value - half, value + half), errors, of.n_stones, of.n_effective)
+
+
+def _graphic_mean(logs: Values) -> float:
+    return float(_phi(logs)[[1, 3, 5]].mean())
+
+
+def _graphic_sorting(logs: Values) -> float:
+    phi5, phi16, _, _, _, phi84, phi95 = _phi(logs)
+    return float((phi84 - phi16) / 4 + (phi95 - phi5) / 6.6)
+
+
+def _graphic_skewness(logs: Values) -> float:
+    phi5, phi16, _, phi50, _, phi84, phi95 = _phi(logs)
+    inner = (phi16 + phi84 - 2 * phi50) / (2 * (phi84 - phi16))
+    return float(inner + (phi5 + phi95 - 2 * phi50) / (2 * (phi95 - phi5)))
+
+
+def _graphic_kurtosis(logs: Values) -> float:
+    phi5, _, phi25, _, phi75, _, phi95 = _phi(logs)
+    return float((phi95 - phi5) / (2.44 * (phi75 - phi25)))
+
+
+def _phi(logs: Values) -> Values:
+    """Return Krumbein's φ of natural logarithms of sizes in mm."""
+    return -logs / log(2)

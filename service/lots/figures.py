@@ -136,7 +136,7 @@ SHARES: Mapping[str, Callable[[MeasuredRange], Property]] = {
     "shape_percent": is_non_cubical,
 }
 """Indices that are followed over time and compared: each a share of the stones, by the property that it counts."""
-UNITS = {"percent": "%", "mm": "mm", "kg": "kg"}
+UNITS = {"percent": "%", "mm": "mm", "kg": "kg", "phi": "φ"}
 
 
 def unit_of(name: str) -> str | None:

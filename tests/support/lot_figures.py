@@ -107,6 +107,10 @@ def indices() -> ShapeIndices:
     named = {
         "uniformity": measured(1.56, 0.03),
         "curvature": measured(1.02, 0.04),
+        "graphic_mean_phi": measured(-3.4, 0.05),
+        "graphic_sorting_phi": measured(0.52, 0.02),
+        "graphic_skewness": measured(0.08, 0.03),
+        "graphic_kurtosis": measured(1.01, 0.04),
         "d32_mm": measured(11.1, 0.12),
         "d43_mm": measured(12.06, 0.14),
         "flakiness_percent": measured(12.4, 1.3),

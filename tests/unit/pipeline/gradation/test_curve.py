@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import norm
 from support.stones import lot_of_masses, round_stone
 
 from pipeline.gradation.curve import influence, interpolated_mm, retained_to_passing
@@ -64,6 +65,44 @@ def test_vector_g1_from_stones() -> None:
     assert exact == {10: 6.4, 30: 8.1, 50: 10.1, 60: 12.6, 90: 16.1}, "the stones' own sizes"
     assert found.indices.uniformity.value == pytest.approx(12.6 / 6.4)
     assert found.indices.curvature.value == pytest.approx(8.1**2 / (6.4 * 12.6))
+
+
+def graphic(found: Gradation) -> list[float | None]:
+    indices = found.indices
+    return [
+        each.value
+        for each in (
+            *(indices.graphic_mean_phi, indices.graphic_sorting_phi),
+            *(indices.graphic_skewness, indices.graphic_kurtosis),
+        )
+    ]
+
+
+def test_folk_and_ward_of_a_lognormal_gradation() -> None:
+    """With z84 = 0.99446, z95 = 1.64485, z75 = 0.67449 of the normal distribution; Mz is its mean."""
+    mean_phi, sd_phi = -3.4, 0.5
+    sizes_mm = 2.0 ** -(mean_phi + sd_phi * norm.ppf((np.arange(4000) + 0.5) / 4000))
+    found = evaluate(lot_of_masses(list(sizes_mm), [1.0] * 4000), SIEVES)
+    sorting = sd_phi * (2 * 0.99446 / 4 + 2 * 1.64485 / 6.6)
+    assert graphic(found) == pytest.approx([mean_phi, sorting, 0.0, 1.64485 / (2.44 * 0.67449)], abs=2e-3)
+    mean = found.indices.graphic_mean_phi
+    assert mean.sampling_se == pytest.approx(sd_phi / np.sqrt(4000), rel=0.15)
+
+
+def test_folk_and_ward_of_a_fine_tail() -> None:
+    """φ5 to φ95 of -4, -3.8, -3.7, -3.5, -3.1, -2.8, -2: by hand Mz -3.3667, σI 0.5530, SkI 0.4500, KG 1.3661."""
+    edges = {5: -4.0, 16: -3.8, 25: -3.7, 50: -3.5, 75: -3.1, 84: -2.8, 95: -2.0}
+    masses = np.diff([*edges, 100])
+    sizes_mm = [2.0**-phi for phi in edges.values()]
+    # the stone at each φ holds what lies between it and the next finer one; those beyond 5 % are larger
+    found = evaluate(lot_of_masses([*sizes_mm, 2.0**4.5], [*masses.astype(float), 5.0]), SIEVES)
+    assert graphic(found) == pytest.approx([-3.3667, 0.5530, 0.4500, 1.3661], abs=1e-4)
+
+
+def test_folk_and_ward_of_stones_of_one_size_has_no_tails() -> None:
+    found = evaluate(lot_of_masses([10.0] * 5, [1.0] * 5), SIEVES).indices
+    assert found.graphic_mean_phi.value == pytest.approx(-np.log2(10))
+    assert (found.graphic_skewness.value, found.graphic_kurtosis.value) == (None, None)
 
 
 def test_vector_g2_fineness_modulus() -> None:
