@@ -102,7 +102,7 @@ def complete(document: dict[str, Any]) -> None:
         title = getattr(model, "model_config", {}).get("title") or model.__name__
         schemas[FORMER.get(title, title)]["examples"] = [example]
     for path, operations in document["paths"].items():
-        has_items = any(other.startswith(f"{path}/{{") for other in document["paths"])
+        has_items = any(re.fullmatch(rf"{re.escape(path)}/\{{\w+\}}", other) for other in document["paths"])
         for method, operation in operations.items():
             operation["summary"] = _summary(operation["description"])
             if method == "post" and "security" in operation:
