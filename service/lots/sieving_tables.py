@@ -16,6 +16,7 @@ from typing import NamedTuple
 from pipeline.gradation.curve import retained_to_passing
 from service.lots.laboratory import MOST_SIEVES, Sieving, SievingError
 
+MOST_COLUMNS = 20
 APERTURES_MM = (0.02, 200.0)
 """Least and greatest aperture: ISO 3310-1 begins at 0.02 mm."""
 MOST_PERCENT = 100.5
@@ -256,9 +257,14 @@ def _lines(text: str) -> list[TableLine]:
         if named is not None and number == 1:
             continue
         parted = written.replace("\t", ";") if mark == ";" else written
-        cells = [cell.strip() for cell in next(csv.reader([parted], delimiter=mark), [])]
+        try:
+            cells = [cell.strip() for cell in next(csv.reader([parted], delimiter=mark), [])]
+        except csv.Error as err:
+            raise SievingError(f"table: line {number}: {err}") from err
         while cells and not cells[-1]:
             cells.pop()
+        if len(cells) > MOST_COLUMNS:
+            raise SievingError(f"table: line {number}: more than {MOST_COLUMNS} columns")
         if cells:
             found.append(TableLine(number, cells))
     if mark == ",":
@@ -302,7 +308,7 @@ def _column(line: int, number: int, text: str) -> LabColumn:
     tokens = TOKEN.findall(PERCENT_OF_MASS.sub("%", text.lower()))
     units = [token for token in tokens if token in UNITS]
     words: set[Word] = set()
-    for each, after in zip(tokens, [*tokens[1:], ""], strict=True):
+    for each, after in zip(tokens, [*tokens[1:], ""], strict=False):
         found = {word for word, pattern in WORDS.items() if re.fullmatch(pattern, each)}
         is_inch = each == "in" and after not in UNITS
         if is_inch or not (found or each in UNITS):

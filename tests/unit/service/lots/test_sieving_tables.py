@@ -142,6 +142,9 @@ def test_units_and_marks_are_those_that_the_table_shows(text: str, grams: Mappin
         ("Sieve mm;g\n16;250\n8;740\nSum;900", "line 4.*sum"),
         ("Sieve mm;g;Retained\n16;250;1\nx;1;1", "line 3|column 3"),
         ("lot;mm;g\nL1;16;250", "column of lots"),
+        ("[];()\n16;250", "line 2.*no head|0 columns"),
+        ("mm;g" + 30 * ";g" + "\n16;250", "line 1.*more than 20 columns"),
+        ("mm;g\n16;" + 140_000 * "1", "line 2.*limit"),
     ],
 )
 def test_what_is_not_clear_is_refused_by_its_line(text: str, named: str) -> None:
@@ -247,3 +250,46 @@ def test_a_table_is_read_back_the_same_or_refused(
         assert sieving.retained_g == pytest.approx(dict(sieves), abs=0.51 * in_g * 10.0**-mass_decimals)
     else:
         assert sieving.mass_g is None
+
+
+CELLS = (
+    *(
+        "",
+        "16",
+        "8 mm",
+        "63 µm",
+        "1.234",
+        "2,5",
+        "0.25 kg",
+        "100",
+        "0",
+        "Pan",
+        "Summe",
+        "-",
+        "[",
+        '"',
+        "lot",
+        "L1",
+    ),
+    *("Sieve mm", "Sieb µm", "Rückstand", "Retained g", "Passing %", "Cumulative %", "Masse"),
+)
+
+
+@given(
+    st.lists(
+        st.lists(
+            st.sampled_from(CELLS),
+            max_size=4,
+        ),
+        max_size=6,
+    ),
+    st.sampled_from(";\t,"),
+)
+def test_any_table_is_read_or_refused(lines: list[list[str]], separator: str) -> None:
+    try:
+        tables = read_tables("\n".join(separator.join(cells) for cells in lines))
+    except SievingError:
+        return
+    for read in tables.values():
+        passing = read.sieving.passing_percent
+        assert list(passing.values()) == sorted(passing.values())
