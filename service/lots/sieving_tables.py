@@ -252,7 +252,7 @@ def _lines(text: str) -> list[TableLine]:
         if named
         else next((each for each in ";\t" if any(each in written for written in lines)), ",")
     )
-    found = []
+    found, n_cells = [], 0
     for number, written in enumerate(lines, start=1):
         if named is not None and number == 1:
             continue
@@ -261,19 +261,18 @@ def _lines(text: str) -> list[TableLine]:
             cells = [cell.strip() for cell in next(csv.reader([parted], delimiter=mark), [])]
         except csv.Error as err:
             raise SievingError(f"table: line {number}: {err}") from err
-        while cells and not cells[-1]:
-            cells.pop()
         if len(cells) > MOST_COLUMNS:
             raise SievingError(f"table: line {number}: more than {MOST_COLUMNS} columns")
+        n_cells = n_cells or len(cells)
+        if mark == "," and any(cells) and len(cells) != n_cells:
+            raise SievingError(
+                f"table: line {number}: {len(cells)} cells where the first line has {n_cells}:"
+                " part columns by semicolons where commas are decimal marks"
+            )
+        while cells and not cells[-1]:
+            cells.pop()
         if cells:
             found.append(TableLine(number, cells))
-    if mark == ",":
-        for line in found:
-            if len(line.cells) != len(found[0].cells):
-                raise SievingError(
-                    f"table: line {line.number}: {len(line.cells)} cells where the first line has"
-                    f" {len(found[0].cells)}: part columns by semicolons where commas are decimal marks"
-                )
     return found
 
 

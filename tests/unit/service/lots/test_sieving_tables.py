@@ -34,6 +34,7 @@ GRAMS = {16.0: 250.0, 8.0: 740.0}
         "Boden;10;1,0;100,0;0,0\nSumme;1000;100,0",
         "Sieve mm;Cumulative retained g\n16;250\n8;990\nPan;1000",
         "Siebweite;Masse\n16;0,25 kg\n8;0,740 kg\nBoden;10,0",
+        "Size (mm),Mass Retained (g),% Passing\n16,250,75\n8,740,1\nPan,10,0\nTotal,1000,\n,,",
         "63 µm;10\n16;250\n8;730\npan;10",
     ],
 )
