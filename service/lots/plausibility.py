@@ -11,8 +11,8 @@ from service.base.schema import served
 from service.lots.evaluation import passing_of
 from service.lots.laboratory import Sieving, SievingError
 from service.lots.lots import find_lot
-from service.lots.sieving_tables import read_tables
 from service.lots.stones import stones_of_lot
+from service.lots.tables.sievings import read_tables
 
 MOST_TABLES = 200
 """Lots in one table: each one's curve is computed before anything is stored."""

@@ -34,7 +34,7 @@ from service.lots.routes.lot_figures import Measuring
 from service.lots.routes.lots import LotName, VoidRequest
 from service.lots.routes.products import ProductName
 from service.lots.shifts import LotsSettings
-from service.lots.sieving_tables import read_table
+from service.lots.tables.sievings import read_table
 from service.web.auth import CONFIGURABLE, OPERABLE, READABLE, Who
 from service.web.context import Context
 from service.web.feeds import MAX_SEQ

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.lots.laboratory import SievingError
-from service.lots.sieving_tables import read_table, read_tables
+from service.lots.tables.sievings import read_table, read_tables
 
 GRAMS = {16.0: 250.0, 8.0: 740.0}
 

@@ -1,0 +1,1 @@
+"""Tables that laboratories paste: their heads, their numbers, the sievings in them."""
