@@ -61,6 +61,9 @@ class OpenOptions:
     sublot: str | None = None
     sample_id: str | None = None
     sampler: str | None = None
+    external_id: Annotated[str | None, typer.Option(help="Its id in the plant's own system.")] = None
+    order: str | None = None
+    customer: str | None = None
     tonnage_t: float | None = None
     remark: str | None = None
 

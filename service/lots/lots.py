@@ -6,9 +6,11 @@ issued report. What changes its figures later is another revision, which is comp
 
 import json
 import sqlite3
+from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
 from enum import StrEnum
 from http import HTTPStatus
+from types import MappingProxyType
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -53,6 +55,12 @@ class LotDefinition:
     """Id of the laboratory sample; lots with the same one are compared by `/repeatability`."""
     sampler: Name | None = None
     """Who took the sample."""
+    external_id: Name | None = None
+    """Its id in the plant's own system, such as `4500012345/10`; lots are found by it."""
+    order: Name | None = None
+    """Order or delivery that it is for; lots are found by it."""
+    customer: Name | None = None
+    """Who gets it; lots are found by it."""
     tonnage_t: Tonnage | None = None
     """Mass of the whole lot, t."""
     remark: Remark | None = None
@@ -89,6 +97,9 @@ class LotDocument(Report):
     sublot: str | None = Field(description="Material sublot")
     sample_id: str | None = Field(description="Id of the laboratory sample")
     sampler: str | None = Field(description="Who took the sample")
+    external_id: str | None = Field(default=None, description="Its id in the plant's own system")
+    order: str | None = Field(default=None, description="Order or delivery that it is for")
+    customer: str | None = Field(default=None, description="Who gets it")
     tonnage_t: float | None = Field(description="Mass of the whole lot, t")
     remark: str | None = Field(description="Whatever else the plant said of it")
     opened_at: Time = Field(description="When it was opened, RFC 3339 UTC")
@@ -263,9 +274,11 @@ def lots(
     product: str | None,
     before: str | None,
     limit: int,
+    said: Mapping[str, str | None] = MappingProxyType({}),
 ) -> list[LotDocument]:
-    """Return up to `limit` lots that fit, opened before a time, newest first."""
+    """Return up to `limit` lots that fit, opened before a time, newest first; `said`: fields of their definitions."""
     conditions = {"shown_state = ?": state, "product = ?": product, "opened_at < ?": before}
+    conditions |= {f"definition ->> '{name}' = ?": value for name, value in said.items()}
     given = {text: value for text, value in conditions.items() if value is not None}
     return _lots(connection, " AND ".join(given) or "TRUE", tuple(given.values()), limit)
 

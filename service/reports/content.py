@@ -161,7 +161,7 @@ def lot_section(data: ReportData, say: Words) -> Section:
     }
     if lot is not None:
         values |= {
-            "equipment": lot.equipment,
+            **{name: getattr(lot, name) for name in ("customer", "order", "external_id", "equipment")},
             "sample_id": lot.sample_id,
             "sampler": lot.sampler,
             "tonnage": None

@@ -13,6 +13,7 @@ from starlette.exceptions import HTTPException
 from starlette.routing import compile_path
 
 from service.base.errors import InvalidRequestError, ProblemError, ProblemKind, StoreError
+from service.base.ids import ID, ID_WORDS, NEW_ID
 from service.store.trouble import TroubleCause
 from service.web.request_ids import HEADER, request_id_of
 
@@ -218,7 +219,8 @@ def _allowed_methods(request: Request) -> str:
 def _wrong_field(error: Mapping[str, Any]) -> tuple[str, str]:
     """Return where a wrong value is, without the type that pydantic tried for a parameter, and what is wrong."""
     place = error["loc"] if error["loc"][0] == "body" else error["loc"][:2]
-    return _shortened(".".join(map(str, place))), _shortened(error["msg"])
+    message = ID_WORDS if error.get("ctx", {}).get("pattern") in (ID, NEW_ID) else error["msg"]
+    return _shortened(".".join(map(str, place))), _shortened(message)
 
 
 def _shortened(text: str) -> str:

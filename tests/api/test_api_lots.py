@@ -180,6 +180,21 @@ async def test_a_product_that_cannot_be_judged_is_refused(
     assert (await client.get("/products")).json() == {"items": []}
 
 
+@pytest.mark.usefixtures("product")
+async def test_a_lot_is_found_by_the_numbers_of_the_plant(client: httpx.AsyncClient) -> None:
+    numbers = {"external_id": "4500012345/10", "order": "Los 12", "customer": "BRÜ-7"}
+    lot = (await opened(client, **numbers)).json()
+    assert {name: lot[name] for name in numbers} == numbers
+    await client.post("/lots/L1/close", json={})
+    await opened(client, lot="L2")
+    for name, number in numbers.items():
+        found = (await client.get("/lots", params={name: number})).json()["items"]
+        assert [each["lot"] for each in found] == ["L1"]
+    refused = await opened(client, lot="4500012345/10")
+    assert_problem(refused, 422, "invalid-request")
+    assert "external_id" in refused.json()["detail"]
+
+
 async def test_a_product_is_judged_by_its_declared_grading_as_well(
     client: httpx.AsyncClient, store: Store, session: int
 ) -> None:

@@ -12,7 +12,10 @@ from support.rest import assert_problem
     [
         ("/particles?min_sieve=3", "min_sieve: .*did you mean min_sieve_size_mm"),
         ("/results?afte=3", "afte: .*did you mean after"),
-        ("/lots?colour=red", "colour: .*there are before, limit, product, state"),
+        (
+            "/lots?colour=red",
+            "colour: .*there are before, customer, external_id, limit, order, product, state",
+        ),
         ("/health?verbose=1", "verbose: .*there are none here"),
     ],
 )

@@ -74,6 +74,23 @@ class AssignRequest(RequestBody):
     until: Annotated[GivenTime, Field(description="Captured before")]
 
 
+Given = Annotated[str | None, Field(max_length=200)]
+
+
+class LotsQuery(BaseModel):
+    """Which lots are listed."""
+
+    state: LotState | None = Field(default=None, description="Only lots in this state")
+    product: Annotated[str | None, Field(max_length=64)] = Field(
+        default=None, description="Only lots of this product"
+    )
+    external_id: Given = Field(default=None, description="Only lots with this id in the plant's own system")
+    order: Given = Field(default=None, description="Only lots of this order")
+    customer: Given = Field(default=None, description="Only lots of this customer")
+    before: GivenTime | None = Field(default=None, description="Opened before, RFC 3339")
+    limit: int = Field(default=100, ge=1, le=1000, description="Lots of a page, at most")
+
+
 class LotsPage(BaseModel):
     """Lots, newest first."""
 
@@ -108,17 +125,12 @@ async def post_lot(context: Context, wanted: LotRequest, response: Response, ask
 
 
 @router.get("", response_model=LotsPage, dependencies=READABLE)
-async def list_lots(
-    context: Context,
-    state: Annotated[LotState | None, Query(description="Only lots in this state")] = None,
-    product: Annotated[str | None, Query(max_length=64, description="Only lots of this product")] = None,
-    before: Annotated[GivenTime | None, Query(description="Opened before, RFC 3339")] = None,
-    limit: Annotated[int, Query(ge=1, le=1000, description="Lots of a page, at most")] = 100,
-) -> LotsPage:
+async def list_lots(context: Context, query: Annotated[LotsQuery, Query()]) -> LotsPage:
     """List the lots, newest first."""
-    found = await context.store.read(lots, state, product, before, limit + 1)
-    items = found[:limit]
-    return LotsPage(items=items, next_before=items[-1].opened_at if len(found) > limit else None)
+    said = query.model_dump(include={"external_id", "order", "customer"})
+    found = await context.store.read(lots, query.state, query.product, query.before, query.limit + 1, said)
+    items = found[: query.limit]
+    return LotsPage(items=items, next_before=items[-1].opened_at if len(found) > query.limit else None)
 
 
 @router.get("/{lot}", response_model=LotDocument, dependencies=READABLE, responses=NOT_MODIFIED)
