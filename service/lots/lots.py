@@ -8,6 +8,7 @@ import json
 import sqlite3
 from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
+from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from http import HTTPStatus
 from types import MappingProxyType
@@ -16,6 +17,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from drivers.files.times import utc_now
+from pipeline.frames import rfc3339
 from pipeline.gradation.specification import Verdict
 from service.base.errors import ProblemError, ProblemKind
 from service.base.ids import NEW_ID
@@ -27,6 +29,8 @@ from service.store.events import EventType, NewEvent, note_event
 from service.store.schema import rows_by_name
 
 Tonnage = Annotated[float, Field(ge=0, le=1e6)]
+REST_S = 10.0
+"""Time without another revision after which a lot whose stones are measured again is completed."""
 MOST_RUNS = 1000
 """Lots of one sample that are looked at, the newest."""
 
@@ -237,9 +241,18 @@ def note_revised(connection: sqlite3.Connection, lot: str) -> None:
 
 
 def uncompleted_lots(connection: sqlite3.Connection) -> dict[str, bool]:
-    """Return the closed lots whose revision is not completed, oldest first; True: all its stones have outcomes."""
+    """Return the closed lots whose revision is not completed, oldest first; True: it can be.
+
+    All its stones have outcomes then, and none was measured again within `REST_S`: a whole lot that is comes to one
+    revision after the other.
+    """
     found = _lots(connection, "state = 'closed' AND completed_revision < revision", (), MOST_RUNS)[::-1]
-    return {each.lot: each.state is LotState.CLOSED for each in found}
+    recent = connection.execute(
+        "SELECT subject FROM events WHERE seq > (SELECT last_event FROM store) - ? AND type = ? AND at > ?",
+        (MOST_RUNS, EventType.LOT_REVISED, rfc3339(datetime.now(UTC) - timedelta(seconds=REST_S))),
+    )
+    revised = {lot for (lot,) in recent}
+    return {each.lot: each.state is LotState.CLOSED and each.lot not in revised for each in found}
 
 
 def complete_lot(connection: sqlite3.Connection, lot: str, completion: LotCompletion) -> None:

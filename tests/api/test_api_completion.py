@@ -20,7 +20,7 @@ from service.daemon.lot_files import FilesFailedError, issued_reports, lot_files
 from service.delivery.file_drop import LotFiles
 from service.delivery.settings import FileDropSettings
 from service.health.alarms.rules import load_rules
-from service.lots.lots import close_lot, find_lot, uncompleted_lots, void_lot
+from service.lots.lots import close_lot, find_lot, note_revised, uncompleted_lots, void_lot
 from service.lots.yardsticks import Request
 from service.reports import lot_reports
 from service.reports.lot_reports import ReportRequest, RigStanding
@@ -166,6 +166,19 @@ async def test_what_cannot_be_issued_is_told_and_made_up_for(
     await soon(lambda: reports.trouble is None)
     task.cancel()
     assert len(await completions(store)) == 1
+
+
+async def test_a_lot_that_is_measured_again_is_completed_when_it_rests(
+    client: httpx.AsyncClient, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await put_product(client)
+    await opened(client)
+    await store.write(close_lot, "L1", None, "test")
+    await store.write(note_revised, "L1")
+    monkeypatch.setattr("service.lots.lots.REST_S", 86_400.0)
+    assert await store.read(uncompleted_lots) == {"L1": False}
+    monkeypatch.setattr("service.lots.lots.REST_S", -1.0)
+    assert await store.read(uncompleted_lots) == {"L1": True}
 
 
 async def test_a_void_lot_is_never_completed(client: httpx.AsyncClient, store: Store) -> None:
