@@ -71,7 +71,7 @@ def test_a_lot_is_opened_filled_shown_and_closed_over_a_kill(tmp_path: Path) -> 
 def test_a_close_under_load_answers_with_the_figures_that_stay(tmp_path: Path, n_lots: int) -> None:
     write_small_recording(tmp_path / "recording", n_stones=N_STONES)
     rig = "loop = true\nspeed = 2.5"  # ten stones a second
-    with DaemonProcess(tmp_path, tmp_path / "recording", rig=rig) as daemon:
+    with DaemonProcess(tmp_path, tmp_path / "recording", rig=rig, slots=2) as daemon:
         daemon.hear("READY=1")
         daemon.put("/products/basalt", {"title": "basalt", "density_kg_m3": 2700, "specification": "astm-8"})
         daemon.wait_for("/accounting", lambda found: found["measured"] > 0)
