@@ -76,7 +76,7 @@ class CorrelationDocument:
     accepted_at: OptionalTime
     """When it was accepted, RFC 3339 UTC; null if it never was"""
     accepted_by: str | None
-    """Who accepted it; null if nobody did, and for studies of earlier versions, which were in use at once"""
+    """Name of the key that accepted it; null before, and of studies of earlier versions, which were in use at once"""
     withdrawn_at: OptionalTime
     """When it was withdrawn, RFC 3339 UTC; null unless it was"""
     reason: str | None

@@ -4,7 +4,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 
 class _HeadSentError(Exception):
-    """The head of an answer is sent, and nobody wants its body."""
+    """The head of an answer is sent; its body is not asked for."""
 
 
 def answering_heads(app: ASGIApp) -> ASGIApp:
