@@ -5,6 +5,9 @@ import java.util.List;
 import org.openapitools.client.ApiClient;
 import org.openapitools.client.ApiException;
 import org.openapitools.client.api.*;
+import org.openapitools.client.api.LotsApi.*;
+import org.openapitools.client.api.ParticlesApi.*;
+import org.openapitools.client.api.ResultsApi.*;
 import org.openapitools.client.model.*;
 
 /** Makes the calls of a client that openapi-generator made; the argument is the daemon's address. */
@@ -16,32 +19,37 @@ public class Calls {
         ParticlesApi particles = new ParticlesApi(client);
         LotsApi lots = new LotsApi(client);
 
-        List<Result> items = results.results(0L, null, null, null, null).getItems();
+        List<Result> items = results.results(APIResultsRequest.newBuilder().after(0L).build()).getItems();
         assert items.get(0).getOutcome() == Result.OutcomeEnum.MEASURED && items.size() == 3;
-        Result lean = results.results(0L, 1L, null, null, "lean").getItems().get(0);
+        Result lean = results.results(APIResultsRequest.newBuilder().after(0L).limit(1L).fields("lean").build())
+            .getItems().get(0);
         assert lean.getSieveSizeMm().doubleValue() == 10.0;
         assert particles.particle("1").getId().equals(lean.getId());
-        assert particles
-            .particles("measured", null, null, null, null, null, null, null, null, null, null, null, null, null, null,
-                null, null, null, null, null)
-            .getItems().size() == 1;
+        assert particles.particles(APIParticlesRequest.newBuilder().outcome("measured").build()).getItems().size() == 1;
         assert text(particles.meshFile("1", MeshFormat.PLY)).startsWith("ply");
         assert text(particles.preview("1")).startsWith("\u0089PNG");
         assert new HealthApi(client).health().getReady();
         assert new AccountingApi(client).accounting("current").getSession() == 1;
-        assert results.parkCursor("mes", new Cursor().after(2L), null).getUnread() == 1;
+        assert results.parkCursor(
+            APIParkCursorRequest.newBuilder().name("mes").cursor(new Cursor().after(2L)).build()).getUnread() == 1;
 
         Apertures sieves = new Apertures();
         sieves.addAll(List.of(new BigDecimal(4), new BigDecimal(8), new BigDecimal(16)));
         ProductRequest product =
             new ProductRequest().title("own sieves").densityKgM3(new BigDecimal(2850)).sieveSet(new SieveSet(sieves));
-        assert lots.putProduct("own", product, null).getSieveSet().getApertures().size() == 3;
-        assert lots.product("basalt-8-16", null).getSieveSet().getString().equals("en-basic-2");
-        assert lots.postClose("L2", new CloseRequest(), null, null).getState() == LotState.CLOSED;
-        LotDocument opened = lots.postLot(new LotRequest().lot("L3").product("own"), "one");
-        assert lots.postLot(new LotRequest().lot("L3").product("own"), "one").equals(opened);
-        assert lots.listLots(null, null, null, null).getItems().size() == 3;
-        assert text(lots.reportFile("L1", ReportFormat.PDF, null, null, null)).startsWith("%PDF");
+        assert lots.putProduct(APIPutProductRequest.newBuilder().product("own").productRequest(product).build())
+            .getSieveSet().getApertures().size() == 3;
+        assert lots.product(APIProductRequest.newBuilder().product("basalt-8-16").build())
+            .getSieveSet().getString().equals("en-basic-2");
+        assert lots.postClose(APIPostCloseRequest.newBuilder().lot("L2").closeRequest(new CloseRequest()).build())
+            .getState() == LotState.CLOSED;
+        APIPostLotRequest open = APIPostLotRequest.newBuilder()
+            .lotRequest(new LotRequest().lot("L3").product("own")).idempotencyKey("one").build();
+        LotDocument opened = lots.postLot(open);
+        assert lots.postLot(open).equals(opened);
+        assert lots.listLots(APIListLotsRequest.newBuilder().build()).getItems().size() == 3;
+        assert text(lots.reportFile(
+            APIReportFileRequest.newBuilder().lot("L1").reportFormat(ReportFormat.PDF).build())).startsWith("%PDF");
         try {
             lots.getLot("L9");
             assert false;
