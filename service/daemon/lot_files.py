@@ -9,7 +9,8 @@ from drivers.files.times import utc_now
 from service.base.errors import ServiceError, WorkerFailure
 from service.delivery.file_drop import FileDrop, LotFiles, MakeFiles, Purpose
 from service.delivery.settings import DropFormat, FileDropSettings
-from service.lots.lots import LotCompletion, complete_lot, uncompleted_lots
+from service.lots.lots import complete_lot, uncompleted_lots
+from service.lots.outcome import LotCompletion, LotOutcome
 from service.lots.shifts import LotsSettings
 from service.lots.yardsticks import Request
 from service.processing.worker_process import worker_boundary
@@ -20,9 +21,6 @@ from service.store.schema import connect_reader
 from service.web.control import Control
 from service.web.reader_process import Reading
 from service.web.version import BASE
-
-OUTCOME = ("verdict", "is_partial", "measured", "rejected", "lost")
-"""Fields of the figures that a completed lot states."""
 
 
 class FilesFailedError(ServiceError):
@@ -62,7 +60,7 @@ def lot_files(
                 else RENDERERS[ReportFormat(each)](data)
                 for each in formats
             }
-            outcome = {name: getattr(data.figures, name) for name in OUTCOME}
+            outcome = {name: getattr(data.figures, name) for name in LotOutcome.model_fields}
             return LotFiles(revision=data.figures.lot.revision, content=content, outcome=outcome)
     except WorkerFailure as failure:
         raise FilesFailedError(str(failure).strip().rpartition("\n")[2]) from None

@@ -9,11 +9,12 @@ from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.estimators import Property
 from pipeline.gradation.indices import INDICES, ShapeIndices, is_flaky, is_non_cubical
 from pipeline.gradation.sieves import MeasuredRange
-from pipeline.gradation.specification import Decision, Verdict
+from pipeline.gradation.specification import Decision
 from pipeline.gradation.stones import Unmeasured
 from service.base.schema import OptionalTime
 from service.base.status import Report
 from service.lots.lots import LotDocument
+from service.lots.outcome import LotOutcome
 
 
 class CurveStep(Report):
@@ -60,7 +61,7 @@ class ProductDocument(Report):
     specification: str | None = Field(description="Specification that it is judged by; null: none")
 
 
-class LotFigures(Report):
+class LotFigures(LotOutcome):
     """All figures of the stones of a lot, or of a time."""
 
     lot: LotDocument | None = Field(description="Null for a window, a shift, and results without a store")
@@ -68,9 +69,6 @@ class LotFigures(Report):
     since: OptionalTime = Field(description="First stone, RFC 3339 UTC")
     until: OptionalTime = Field(description="Last stone")
     triggers: int = Field(description="measured + rejected + lost")
-    measured: int = Field(description="Stones with a body and its measures")
-    rejected: int = Field(description="Stones whose views were found unfit")
-    lost: int = Field(description="Stones whose views were never looked at")
     by_quality: Mapping[str, int] = Field(description="Measured stones by quality")
     by_body: Mapping[str, int] = Field(
         description="Measured stones by the body that was measured, `photo`, `estimate` or `hull`; results of earlier"
@@ -95,8 +93,6 @@ class LotFigures(Report):
     indices: ShapeIndices = Field(description="Fineness, uniformity, mean sizes and shape")
     flakiness_decision: Decision | None = Field(description="Verdict on FI (EN 933-3); null without limits")
     shape_decision: Decision | None = Field(description="Verdict on SI (EN 933-4); null without limits")
-    verdict: Verdict | None = Field(description="Null without a specification")
-    is_partial: bool = Field(description="True when some figures of the specification were not measured")
     countdown: str | None = Field(description="What is decided and what is not, in words")
     unmeasured: Unmeasured = Field(description="What fell and is in no figure")
     least_portion_kg: float | None = Field(description="Least test portion of EN 933-1 for D; null without D")

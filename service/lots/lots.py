@@ -18,11 +18,11 @@ from pydantic import Field
 
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
-from pipeline.gradation.specification import Verdict
 from service.base.errors import ProblemError, ProblemKind
 from service.base.ids import NEW_ID
 from service.base.schema import Name, OptionalTime, Remark, Time, request_body
 from service.base.status import Report
+from service.lots.outcome import LotCompletion
 from service.lots.products import find_product
 from service.store import audit
 from service.store.events import EventType, NewEvent, note_event
@@ -69,22 +69,6 @@ class LotDefinition:
     """Mass of the whole lot, t."""
     remark: Remark | None = None
     """Whatever else the plant says of it."""
-
-
-class LotCompletion(Report):
-    """What was said of a closed lot once all its stones had outcomes: final for this revision."""
-
-    revision: int = Field(
-        description="Revision of the lot that this is of; of an older one while it is made anew"
-    )
-    at: Time = Field(description="When it was completed, RFC 3339 UTC")
-    verdict: Verdict | None = Field(description="Null without a specification")
-    is_partial: bool = Field(description="True when some figures of the specification were not measured")
-    measured: int = Field(description="Stones with a body and its measures")
-    rejected: int = Field(description="Stones whose views were found unfit")
-    lost: int = Field(description="Stones whose views were never looked at")
-    report: str = Field(description="Address of the issued report, a PDF that stays as it is")
-    report_sha256: str = Field(description="SHA-256 of this report, in hexadecimal digits")
 
 
 class LotDocument(Report):
