@@ -173,7 +173,7 @@ def _gradation(records: list[dict[str, Any]], rig: RigCalibration) -> dict[str, 
     return {
         "sieves_mm": sieves.apertures_mm,
         "passing_percent": [point.by_mass.value or 0.0 for point in counted.curve],
-        "quantiles_mm": {f"D{p}": counted.quantiles_interpolated_mm[p].value for p in PERCENTS},
+        "quantiles_mm": {f"D{p}": counted.quantiles_exact_mm[p].value for p in PERCENTS},
         **found,
         "unmeasured": {"n_stones": unmeasured["n_stones"], "counts": counts, **unmeasured},
         "indices": {name.removesuffix("_percent"): found["indices"][name] for name in INDICES}

@@ -124,8 +124,9 @@ def versions_of_lot(connection: sqlite3.Connection, lot: str) -> dict[str, int]:
 
 
 def stones_between(connection: sqlite3.Connection, since: str, until: str) -> Stones:
-    """Return the stones captured from `since` to before `until`, of any lot."""
-    return stones_in(_rows(connection, "captured_at >= ? AND captured_at < ?", since, until))
+    """Return the stones that fell from `since` to before `until`, of any lot; of a replay, what had its result then."""
+    rows, time = _rows_and_time(connection)
+    return stones_in(_rows(connection, f"{time} >= ? AND {time} < ?", since, until, rows=rows))
 
 
 def stones_behind(
@@ -147,8 +148,11 @@ def stones_behind(
     ]
 
 
-def _rows(connection: sqlite3.Connection, condition: str, *values: str) -> list[dict[str, Any]]:
-    query = f"SELECT {', '.join(COLUMNS)} FROM stones WHERE {condition} ORDER BY seq"  # noqa: S608 - of this module
+def _rows(
+    connection: sqlite3.Connection, condition: str, *values: str, rows: str = "stones"
+) -> list[dict[str, Any]]:
+    columns = ", ".join(f"stones.{column}" for column in COLUMNS)
+    query = f"SELECT {columns} FROM {rows} WHERE {condition} ORDER BY stones.seq"  # noqa: S608 - of this module
     return rows_by_name(connection.execute(query, values))
 
 

@@ -183,7 +183,7 @@ async def test_figures_are_those_of_the_open_lot_else_of_the_last_hour(
     assert figures["flakiness_percent"] == gradation["indices"]["flakiness_percent"]
     assert figures["shape_percent"] == gradation["indices"]["shape_percent"]
     (median,) = (each for each in gradation["quantiles"] if each["percent"] == 50)
-    assert figures["d50_mm"] == median["interpolated_mm"]
+    assert figures["d50_mm"] == median["exact_mm"]
     await add(store, session, 4, rejected("empty"))  # which changes no curve
     await overview_of(client)
     assert (await overview_of(client))["figures"]["version"] == figures["version"]

@@ -304,3 +304,8 @@ def test_all_is_reached_by_keys(page: Page, replay: DaemonProcess, lot: str, sto
     reached = reachable_by_tab(page)
     steps = page.locator("[data-sieve]").evaluate_all("(steps) => steps.map((e) => e.ariaLabel)")
     assert {*steps, "What if without it", "Clear filters"} <= reached
+    curve = replay.get(f"/lots/{lot}/gradation")["curve"]
+    unmeasured = {f"{step['sieve_mm']:g}" for step in curve if step["passing_percent"]["value"] is None}
+    ends = [set(label.partition(" mm:")[0].split(" to ")) for label in steps]
+    assert any(each & unmeasured for each in ends)  # of the smallest sieves
+    assert ["not measured" in label for label in steps] == [bool(each & unmeasured) for each in ends]

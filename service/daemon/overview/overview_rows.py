@@ -121,7 +121,7 @@ def overview_figures(
         is_partial=found.is_partial,
         countdown=found.countdown,
         decisions=_decisions(found),
-        d50_mm=median.interpolated_mm,
+        d50_mm=median.exact_mm,
         flakiness_percent=found.indices.flakiness_percent,
         shape_percent=found.indices.shape_percent,
         measured=found.measured,

@@ -13,12 +13,13 @@ export function showSteps(place, text, { curve }, chosenMm, choose) {
   const frame = drawing.querySelector(".frame").getAttribute("points").split(" ").map((point) => point.split(",").map(Number));
   const [left, top] = frame[0];
   const [, bottom] = frame[2];
-  const passing = new Map(curve.map(({ sieve_mm: sieveMm, passing_percent: percent }) => [sieveMm, percent.value]));
+  const passing = new Map([[0, 0], ...curve.map(({ sieve_mm: sieveMm, passing_percent: percent }) => [sieveMm, percent.value])]);
   const sieves = drawing.dataset.sieves.split(" ").map((place) => place.split(",").map(Number));
   const buttons = sieves.map(([sieveMm, x], i) => {
     const [belowMm, from] = i === 0 ? [0, left] : sieves[i - 1];
-    const percent = (passing.get(sieveMm) ?? 0) - (passing.get(belowMm) ?? 0);
-    const name = word("gallery.step", { below: sieve(belowMm), sieve: sieve(sieveMm), percent: number(percent, 1) });
+    const ends = [passing.get(belowMm), passing.get(sieveMm)];
+    const share = ends.includes(null) ? word("verdict.not_measured") : word("gallery.share", { percent: number(ends[1] - ends[0], 1) });
+    const name = word("gallery.step", { below: sieve(belowMm), sieve: sieve(sieveMm), share });
     const shares = { left: from / width, width: (x - from) / width, top: top / height, height: (bottom - top) / height };
     const style = Object.entries(shares).map(([side, share]) => `${side}: ${100 * share}%`).join("; ");
     return html.button({ type: "button", "data-sieve": sieveMm, "aria-pressed": String(sieveMm === chosenMm), "aria-label": name, title: name, style, onclick: () => choose(sieveMm) });
@@ -35,7 +36,7 @@ export function showFigures(place, all, without, sieveMm) {
   const figure = (name, unit, digits, of) => [rowHead(name), ...columns.map((figures, i) => cell(of(figures), of(all), unit, digits, i))];
   const text = (name, of) => [rowHead(name), ...columns.map(of)];
   const rows = [
-    figure("D50", "mm", 2, ({ quantiles }) => quantiles.find(({ percent }) => percent === 50).interpolated_mm),
+    figure("D50", "mm", 2, ({ quantiles }) => quantiles.find(({ percent }) => percent === 50).exact_mm),
     ...family("index").map((name) => figure(word(`index.${name}`), "", Number(word(`decimals.${name}`)), ({ indices }) => indices[name])),
     ...(sieveMm === null ? [] : [figure(word("gallery.passing", { sieve: sieve(sieveMm) }), "%", 1, (figures) => passing(figures, sieveMm))]),
     text(word("gallery.measured"), ({ measured }) => number(measured)),

@@ -112,6 +112,9 @@ def test_stones_of_a_replay_count_when_their_results_came(connection: sqlite3.Co
     times = times_of(connection, rfc3339(at(-1)), rfc3339(at(0)))
     assert times[0] == pytest.approx(at(-0.5).timestamp() + 1, abs=0.01)
     assert len(times) == 30
+    within = stones_between(connection, rfc3339(at(-1)), rfc3339(at(0)))
+    assert (within.lot.n_measured, len(within.measured_ids)) == (27, 27)
+    assert stones_between(connection, rfc3339(at(-10_000)), rfc3339(at(-9_999))).lot.n_measured == 0
 
 
 @pytest.mark.parametrize(("hours", "bucket_s"), [(1, 120), (12, 900), (24, 1800), (720, 86_400)])
