@@ -36,12 +36,12 @@ BodyKind = Literal["photo", "estimate", "hull"]
 class MeasuringParameters:
     """Density and volume correction, which turn a shape into volume and mass."""
 
-    density_g_cm3: float | None = None  # of the product (EN 1097-6); without it no mass is reported
+    density_kg_m3: float | None = None  # of the particles (EN 1097-6); without it no mass is reported
     volume_model: VolumeModel = SYNTHETIC
 
     def __post_init__(self) -> None:
-        if self.density_g_cm3 is not None and not 0.1 < self.density_g_cm3 < 25:
-            raise ValueError("density_g_cm3 must be between 0.1 and 25")
+        if self.density_kg_m3 is not None and not 100 < self.density_kg_m3 < 25_000:
+            raise ValueError("density_kg_m3 must be between 100 and 25000")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,8 +77,14 @@ class ParticleMeasurement:
     """Volume of the estimated body's mesh, if it was estimated; the correction depends on its ratio to the hull's."""
     angularity: float | None
     """AIMS-type gradient angularity, mean over the views."""
-    mass_g: float | None
+    density_kg_m3: float | None
+    """Density of the particles (EN 1097-6), None if it is not known."""
     uncertainty: Uncertainty
+
+    @property
+    def mass_g(self) -> float | None:
+        """Mass by the corrected volume, g; None without a density."""
+        return None if self.density_kg_m3 is None else mass_g(self.density_kg_m3, self.volume_mm3)
 
     @property
     def surface_sd_mm(self) -> float:
@@ -175,7 +181,6 @@ def measure_body(
         pixels=pixels,
         length_sd_percent=LENGTH_SD_PERCENT if rig.length_sd_percent is None else rig.length_sd_percent,
     )
-    density = measuring.density_g_cm3
     return ParticleMeasurement(
         body=kind,
         supported_share=None if refinement is None else pixels.share,
@@ -186,9 +191,14 @@ def measure_body(
         volume_model=volume_model,
         volume_estimate_mm3=None if estimate is None else estimate.volume_mm3,
         angularity=angularity,
-        mass_g=None if density is None else density * volume_mm3 / 1000,
+        density_kg_m3=measuring.density_kg_m3,
         uncertainty=uncertainty(evidence),
     )
+
+
+def mass_g(density_kg_m3: float, volume_mm3: float) -> float:
+    """Return the mass of a body, g."""
+    return density_kg_m3 * volume_mm3 * 1e-6
 
 
 def mean_angularity(silhouettes: Iterable[Silhouette]) -> float | None:

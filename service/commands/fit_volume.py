@@ -10,7 +10,8 @@ import numpy as np
 import typer
 
 from pipeline.measuring.volume_correction import fit_volume_model
-from service.base.errors import VolumeModelError
+from service.base.errors import UsageError, VolumeModelError
+from service.commands.options import DensityOptions, with_options
 from service.configuration.volume_models import write_volume_model
 from service.results.fields import Outcome
 
@@ -19,21 +20,23 @@ MAX_VOLUME_MM3 = 1e6
 """Volume of a cube of 100 mm, which is larger than the field of view."""
 
 
+@with_options
 def command(
     results: Annotated[Path, typer.Argument(help="results.jsonl of `stonefall measure`.")],
     weighed: Annotated[Path, typer.Argument(help="CSV file with the columns bundle and mass_g.")],
-    density_g_cm3: Annotated[
-        float, typer.Option("--density-g-cm3", min=0.1, max=25, help="Density of the stones, g/cm³.")
-    ],
     out: Annotated[
         Path, typer.Option(help="File to write, for [measuring] volume_model of the configuration.")
     ],
+    density: DensityOptions,
     as_json: Annotated[bool, typer.Option("--json", help="Print the coefficients as JSON.")] = False,
 ) -> None:
     """Fit the volume correction to weighed stones.
 
     A stone may have been measured several times, each with a line of its own.
     """
+    density_kg_m3 = density.given_kg_m3
+    if density_kg_m3 is None:
+        raise UsageError("--density-kg-m3 is missing: what the stones were weighed for")
     measured = _measured(results)
     masses_g = _masses_g(weighed)
     unknown = sorted(set(masses_g) - set(measured))
@@ -44,7 +47,7 @@ def command(
         )
     hull_mm3 = [measured[bundle][0] for bundle in masses_g]
     estimate_mm3 = [measured[bundle][1] for bundle in masses_g]
-    true_mm3 = [1000 * mass_g / density_g_cm3 for mass_g in masses_g.values()]
+    true_mm3 = [1e6 * mass_g / density_kg_m3 for mass_g in masses_g.values()]
     try:
         model = fit_volume_model(out.stem, hull_mm3, estimate_mm3, true_mm3)
     except ValueError as err:
@@ -53,7 +56,7 @@ def command(
     rms_percent = 100 * float(np.sqrt(np.mean((np.array(fitted_mm3) / true_mm3 - 1) ** 2)))
     summary: dict[str, float | int | str] = {
         "n_stones": len(masses_g),
-        "density_g_cm3": density_g_cm3,
+        "density_kg_m3": density_kg_m3,
         "rms_percent": round(rms_percent, 3),
     }
     write_volume_model(out, model, summary)

@@ -19,7 +19,7 @@ from pipeline.frames import CameraId
 from pipeline.rig.design import nominal_rig
 from service.base.errors import SettingsError, UsageError
 from service.commands.cameras import ipv4_address
-from service.commands.options import with_options
+from service.commands.options import DensityOptions, with_options
 from service.configuration.rig_checks import rig_warnings
 from service.configuration.rig_settings import CameraPlace
 from service.configuration.settings import Settings, load_settings, problems, shortcomings
@@ -51,8 +51,6 @@ class InitOptions:
     """Folder on tmpfs for bundles."""
     product: str | None = None
     """Name of the product, for the steps that are printed."""
-    density_g_cm3: Annotated[float | None, typer.Option(min=0.1, max=20)] = None
-    """Particle density (EN 1097-6)."""
     simulated: bool = False
     """The rig is a simulated one."""
     force: bool = False
@@ -60,7 +58,7 @@ class InitOptions:
 
 
 @with_options
-def command(options: InitOptions) -> None:
+def command(options: InitOptions, density: DensityOptions) -> None:
     """Write a configuration with comments, and say what is missing in it and what to do next; exit 0 if nothing is.
 
     On a terminal it asks for what no option says. Cameras that answer are entered in any order when there is one for
@@ -88,9 +86,9 @@ def command(options: InitOptions) -> None:
         )
         if strobe_line is not None:
             flash_us = _asked_number("light of one flash, us (0 if as long as the exposure)")
-    density_g_cm3 = options.density_g_cm3
-    if is_asked and density_g_cm3 is None:
-        density_g_cm3 = _asked_number("particle density of the product, g/cm3 (0 if it is not known)")
+    density_kg_m3 = density.given_kg_m3
+    if is_asked and density_kg_m3 is None:
+        density_kg_m3 = _asked_number("density of the particles, kg/m3, such as 2700 (0 if it is not known)")
     environment = jinja2.Environment(  # noqa: S701 - TOML, not HTML
         trim_blocks=True, keep_trailing_newline=True, undefined=jinja2.StrictUndefined
     )
@@ -106,7 +104,7 @@ def command(options: InitOptions) -> None:
         calibration=rig_file,
         spool=options.spool.resolve(),
         store=options.store.resolve(),
-        density_g_cm3=density_g_cm3,
+        density_kg_m3=density_kg_m3,
         is_simulated=options.simulated,
     )
     options.file.parent.mkdir(parents=True, exist_ok=True)
@@ -120,7 +118,7 @@ def command(options: InitOptions) -> None:
     )
     for each in missing:
         typer.echo(f"  - {each}")
-    typer.echo(_next_steps(options.file, options.product, density_g_cm3))
+    typer.echo(_next_steps(options.file, options.product, density_kg_m3))
     if missing:
         raise typer.Exit(1)
 
@@ -276,8 +274,8 @@ def _wrong(settings: Settings) -> list[str]:
     return [*problems(settings), *shortcomings(settings)]
 
 
-def _next_steps(file: Path, product: str | None, density_g_cm3: float | None) -> str:
-    density = f"{1000 * density_g_cm3:g}" if density_g_cm3 else "KG_M3"
+def _next_steps(file: Path, product: str | None, density_kg_m3: float | None) -> str:
+    density = f"{density_kg_m3:g}" if density_kg_m3 else "KG_M3"
     return f"""
 Next:
   1. stonefall check-config {file}

@@ -12,6 +12,8 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
+from service.base.errors import UsageError
+
 Config = Annotated[Path, typer.Option("--config", help="TOML file, see deploy/stonefall.toml.")]
 DaemonConfig = Annotated[Path, typer.Option("--config", help="TOML file of the daemon.")]
 Json = Annotated[bool, typer.Option("--json")]
@@ -29,6 +31,23 @@ class SizeOptions:
     lower_mm: Annotated[float | None, typer.Option(help="d of a product d/D, mm.")] = None
     upper_mm: Annotated[float | None, typer.Option(help="D of it, mm.")] = None
     specification: Annotated[str | None, typer.Option(help="Category or size, such as GC85-20.")] = None
+
+
+@dataclass(frozen=True, slots=True)
+class DensityOptions:
+    """Density of the particles."""
+
+    density_kg_m3: Annotated[float | None, typer.Option(min=100, max=25_000)] = None
+    """Density of the particles (EN 1097-6), kg/m³."""
+    density_g_cm3: Annotated[float | None, typer.Option(min=0.1, max=25, hidden=True)] = None
+    """The same in g/cm³, as versions before 1.22 asked for it."""
+
+    @property
+    def given_kg_m3(self) -> float | None:
+        """The density by either option, kg/m³; raises `UsageError` if both are given."""
+        if self.density_kg_m3 is not None and self.density_g_cm3 is not None:
+            raise UsageError("--density-kg-m3 and --density-g-cm3 are the same: give one")
+        return self.density_kg_m3 if self.density_g_cm3 is None else 1000 * self.density_g_cm3
 
 
 def changed(parameters: Parameters, **options: Any) -> Parameters:

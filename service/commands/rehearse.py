@@ -28,7 +28,7 @@ SETTINGS = {
     "store": {"dir": "state", "retention": {"min_free_gb": 0.0}},
     "recordings": {"reserve_gb": 0.1},
     "carving": {"n": 64},  # enough for images so small
-    "measuring": {"density_g_cm3": 2.7},
+    "measuring": {"density_kg_m3": 2700.0},
 }
 
 

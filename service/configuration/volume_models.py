@@ -1,7 +1,7 @@
 """`[measuring]` of the configuration, and files with coefficients of the volume correction ("stonefall-volume/1")."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import InitVar, asdict, dataclass
 from pathlib import Path
 
 from drivers.files.bounded import read_bounded
@@ -17,19 +17,25 @@ MAX_BYTES = 100_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuringSettings:
-    """Density and volume model of the product."""
+    """Density of stones outside of lots, and the volume model."""
 
-    density_g_cm3: float | None = None  # of the product (EN 1097-6); without it no mass is reported
+    density_kg_m3: float | None = None  # EN 1097-6; a lot's stones have their product's
     volume_model: ConfiguredPath | None = None  # of `stonefall fit-volume`; without it, the built-in one
 
-    def __post_init__(self) -> None:
-        MeasuringParameters(density_g_cm3=self.density_g_cm3)
+    density_g_cm3: InitVar[float | None] = None  # the same, as files of before 1.22 have it
+
+    def __post_init__(self, density_g_cm3: float | None) -> None:
+        if density_g_cm3 is not None:
+            if self.density_kg_m3 is not None:
+                raise ValueError("density_kg_m3 and density_g_cm3 are the same: give one")
+            object.__setattr__(self, "density_kg_m3", 1000 * density_g_cm3)
+        MeasuringParameters(density_kg_m3=self.density_kg_m3)
 
     @property
     def parameters(self) -> MeasuringParameters:
         """Return the parameters of the pipeline; raise `VolumeModelError` when the file of the model is unusable."""
         model = SYNTHETIC if self.volume_model is None else read_volume_model(self.volume_model)
-        return MeasuringParameters(density_g_cm3=self.density_g_cm3, volume_model=model)
+        return MeasuringParameters(density_kg_m3=self.density_kg_m3, volume_model=model)
 
 
 def read_volume_model(path: Path) -> VolumeModel:

@@ -99,6 +99,13 @@ def why_not_refined(fallback: str) -> NotRefined:
     return NotRefined.RUSH if fallback == RUSH else NotRefined.NO_EVIDENCE
 
 
+class DensitySource(StrEnum):
+    """Where the density comes from that a stone's mass is by."""
+
+    PRODUCT = "product"
+    CONFIGURATION = "configuration"
+
+
 class Hull(BaseModel):
     """The visual hull: the largest body consistent with the silhouettes."""
 
@@ -237,7 +244,12 @@ class Result(BaseModel):
     squared change of its direction, degrees², / 59; mean over the views, 0..10000. A circle has 110, a square
     1115. Not comparable with values of an AIMS device"""
     mass_g: Lean[Number] = None
-    """Mass at the configured density, g; null without a density"""
+    """Mass by `volume_mm3` and `density_kg_m3`, g; null without a density"""
+    density_kg_m3: Number = None
+    """Density of the particles (EN 1097-6) that the mass is by, kg/m³"""
+    density_source: DensitySource | None = None
+    """`product`: of the lot that the stone fell into; `configuration`: it fell outside of any lot; null without a
+    density"""
     center_mm: Numbers = None
     """Centroid in the rig's frame (x, y, z up), mm"""
     hull: Annotated[Hull | None, ONLY_IF_MEASURED] = None

@@ -11,7 +11,7 @@ from pipeline.fall import extent_is_plausible, vertical_extent_mm
 from pipeline.frames import CameraId, Trigger
 from pipeline.particle import ParticleResult
 from pipeline.view_optics import ViewOptics
-from service.results.fields import MEASURED_FIELDS, STORED_FIELDS, Hull, Outcome, Result
+from service.results.fields import MEASURED_FIELDS, STORED_FIELDS, DensitySource, Hull, Outcome, Result
 from service.results.version import ALGORITHM_VERSION
 
 NOT_DURABLE = {"seq": 0, "id": "", "session": 0, "recorded_at": ""}
@@ -119,7 +119,9 @@ def _measured(measurement: ParticleMeasurement) -> dict[str, Any]:
     """Return the measured fields: attributes of the particle, else of its shape."""
     hull = {name: getattr(measurement.hull, name) for name in Hull.model_fields}
     sources = {name: measurement if name in OF_PARTICLE else measurement.shape for name in MEASURED_FIELDS}
-    return {name: getattr(source, name) for name, source in sources.items()} | {"hull": hull}
+    source = None if measurement.density_kg_m3 is None else DensitySource.CONFIGURATION
+    found = {name: getattr(each, name) for name, each in sources.items()}
+    return found | {"hull": hull, "density_source": source}
 
 
 def _gate_extent(

@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from drivers.files.times import is_of_unset_clock, utc_now
+from pipeline.body_measurement import mass_g
 from pipeline.frames import BundleKind, GateCount, Trigger, rfc3339
 from service.base.errors import StoreError
-from service.results.fields import LossReason, Outcome, Result
+from service.results.fields import DensitySource, LossReason, Outcome, Result
 from service.results.record import document_of, lost_record
 from service.store import indexed_fields
 from service.store.particle_files import (
@@ -197,18 +198,20 @@ def add_revision(
     """
     before = particle(connection, name)
     found = connection.execute(
-        "SELECT seq, folder FROM results JOIN files USING (seq) WHERE id = ? AND removed IS NULL", (name,)
+        "SELECT trigger, seq, folder FROM results JOIN files USING (seq) WHERE id = ? AND removed IS NULL",
+        (name,),
     ).fetchone()
     if before is None or found is None:
         return None
-    (first, folder), revision = found, before.get("revision", 1) + 1
+    (trigger, first, folder), revision = found, before.get("revision", 1) + 1
     (seq,) = connection.execute("UPDATE store SET last_seq = last_seq + 1 RETURNING last_seq").fetchone()
     kept = keep_files(path_of(particles_dir, revision_folder(folder, revision)), files)
+    density = _density_of_product(connection, trigger)
     identity = {"seq": seq, "revision": revision, "revises": before["seq"]}
     identity |= {field: before.get(field) for field in KEPT} | {"recorded_at": utc_now()}
     connection.execute(
         "INSERT INTO revisions (seq, first, revision, record) VALUES (?, ?, ?, ?)",
-        (seq, first, revision, _durable(record, identity, kept, seq)),
+        (seq, first, revision, _durable(record, identity, kept, seq, density)),
     )
     indexed_fields.index_results(connection, "seq = ?", first)
     connection.execute("UPDATE files SET bytes = bytes + ? WHERE seq = ?", (sum(kept.values()), first))
@@ -252,9 +255,10 @@ def _end(
     is_replay = bool(fall.pop("is_replay"))
     identity = {"seq": seq, "id": name, "revision": 1, "revises": None, **fall}
     identity |= {"recorded_at": recorded_at, "is_replay": is_replay}
+    density = _density_of_product(connection, trigger)
     connection.execute(
         "INSERT INTO results (seq, id, trigger, session, record) VALUES (?, ?, ?, ?, ?)",
-        (seq, name, trigger, fall["session"], _durable(record, identity, kept, name)),
+        (seq, name, trigger, fall["session"], _durable(record, identity, kept, name, density)),
     )
     indexed_fields.index_results(connection, "seq = ?", seq)
     if record.outcome != Outcome.LOST:
@@ -265,8 +269,20 @@ def _end(
     return int(seq)
 
 
-def _durable(record: Result, identity: Mapping[str, Any], kept: Collection[str], key: str | int) -> str:
-    """Return a record as it is stored: with its identity, and the address of its mesh if that was kept."""
+def _density_of_product(connection: sqlite3.Connection, trigger: int) -> float | None:
+    """Return the density of the product of a stone's lot, kg/m³; None for a stone outside of lots."""
+    found = connection.execute(
+        "SELECT definition ->> 'density_kg_m3' FROM products WHERE (product, version) ="
+        " (SELECT product, version FROM lots WHERE lot = (SELECT lot FROM triggers WHERE trigger = ?))",
+        (trigger,),
+    ).fetchone()
+    return None if found is None else found[0]
+
+
+def _durable(
+    record: Result, identity: Mapping[str, Any], kept: Collection[str], key: str | int, density: float | None
+) -> str:
+    """Return a record as it is stored: with its identity, its mass, and the address of its mesh if that was kept."""
     given = {
         **identity,
         "time_is_doubtful": is_of_unset_clock(min(identity["captured_at"], identity["recorded_at"])),
@@ -274,4 +290,8 @@ def _durable(record: Result, identity: Mapping[str, Any], kept: Collection[str],
         "mesh": f"particles/{key}/mesh.ply" if any(file.startswith("mesh.") for file in kept) else None,
     }
     # first for the order of the keys, last for the values
-    return json.dumps(given | document_of(record) | given, allow_nan=False)
+    stored = given | document_of(record) | given
+    if density is not None and record.volume_mm3 is not None:
+        stored |= {"mass_g": mass_g(density, record.volume_mm3), "density_kg_m3": density}
+        stored["density_source"] = DensitySource.PRODUCT
+    return json.dumps(stored, allow_nan=False)

@@ -23,6 +23,7 @@ from service.lots import evaluation, laboratory, products
 from service.results.fields import RUSH
 from service.results.record import lost_record
 from service.store import Store
+from service.store.writes import add_revision
 from service.web.settings import ApiKey, ApiSettings, Scope
 
 
@@ -59,6 +60,28 @@ async def test_a_lot_has_what_falls_while_it_is_open(
     assert (heaviest["above_mm"], heaviest["up_to_mm"]) == (0, None)
     assert heaviest["items"][0]["volume_mm3"] >= behind["volume_mm3"]
     assert (behind["seq"], behind["sieve_size_mm"]) == (4, 12.0)
+
+
+@pytest.mark.usefixtures("product")
+async def test_masses_of_a_lot_s_stones_are_by_its_product_and_add_up_to_its_own(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    configured = {"mass_g": 2.5, "density_kg_m3": 2500.0, "density_source": "configuration"}
+    await add(store, session, 1, stone(10.0, **configured))
+    await opened(client)
+    for sequence, size_mm in ((2, 11.0), (3, 12.0)):
+        await add(store, session, sequence, stone(size_mm, **configured))
+    await add(store, session, 4, rejected("clipped"))
+    again = (await client.get("/results?after=1&limit=1")).json()["items"][0]["id"]
+    await store.write(add_revision, store.particles_dir, again, stone(11.5), {})
+    outside, *inside, unfit, revised = (await client.get("/results")).json()["items"]
+    assert {name: outside[name] for name in configured} == configured
+    assert (unfit["mass_g"], unfit["density_source"]) == (None, None)
+    for each in (*inside, revised):
+        assert (each["density_kg_m3"], each["density_source"]) == (2700.0, "product")
+        assert each["mass_g"] == pytest.approx(2700e-6 * each["volume_mm3"])
+    figures = (await client.get("/lots/L1/gradation")).json()
+    assert figures["mass_kg"] == pytest.approx(1e-3 * (revised["mass_g"] + inside[1]["mass_g"]))
 
 
 @pytest.mark.usefixtures("product")

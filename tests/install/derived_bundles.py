@@ -55,8 +55,8 @@ def never_ready(source: Path) -> None:
 
 
 def measures_wrong(source: Path) -> None:
-    path = source / "pipeline/particle.py"
+    path = source / "pipeline/body_measurement.py"
     text = path.read_text()
-    place = "    density = parameters.density_g_cm3\n"
+    place = "    density = measuring.density_kg_m3\n"
     assert text.count(place) == 1
     path.write_text(text.replace(place, f"{place}    volume_mm3 *= 1.005\n"))

@@ -24,7 +24,7 @@ def test_what_is_asked_for_becomes_the_configuration(tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
     with simulated_rig(tmp_path, tmp_path / "source", number=6) as rig:
         expected = {camera.design.id: camera.design.serial for camera in rig.cameras.values()}
-        interfaces, gate, density = "127.0.0.1", str(tmp_path / "gate"), "2.7"
+        interfaces, gate, density = "127.0.0.1", str(tmp_path / "gate"), "2700"
         light = ["Line2", "15"]
         # typed, as cameras of other tests may answer as well, and be suggested
         serials = [expected[place] for place in rig_file.camera_ids]
@@ -56,6 +56,6 @@ def test_what_is_asked_for_becomes_the_configuration(tmp_path: Path) -> None:
     assert {camera.id: camera.serial for camera in settings.rig.cameras} == expected
     assert settings.rig.interfaces == ("127.0.0.1",)
     assert (settings.rig.strobe_line, settings.rig.flash_us) == ("Line2", 15)
-    assert settings.measuring.density_g_cm3 == 2.7
+    assert settings.measuring.density_kg_m3 == 2700
     checked = run_stonefall("check-config", config)
     assert checked.returncode == 0, checked

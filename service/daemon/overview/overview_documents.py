@@ -54,7 +54,9 @@ class OverviewFigures(BaseModel):
     decisions: list[OverviewDecision] = Field(
         description="The same figure by figure: sieves from the coarsest, then the indices"
     )
-    d50_mm: Estimate = Field(description="Size that half of the mass is smaller than, from the stones themselves, mm")
+    d50_mm: Estimate = Field(
+        description="Size that half of the mass is smaller than, from the stones themselves, mm"
+    )
     flakiness_percent: Estimate = Field(description="FI, EN 933-3")
     shape_percent: Estimate = Field(description="SI, EN 933-4")
     measured: int = Field(description="Stones with a body and its measures")

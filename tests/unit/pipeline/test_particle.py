@@ -93,7 +93,7 @@ def test_the_papers_parameters_measure_without_leaving_out_or_correcting_anythin
 
 
 def test_density_makes_a_mass() -> None:
-    parameters = replace(PARAMETERS, measuring=MeasuringParameters(density_g_cm3=2.7))
+    parameters = replace(PARAMETERS, measuring=MeasuringParameters(density_kg_m3=2700.0))
     measurement = measured(rendered.sphere_bundle(), parameters=parameters).measurement
     assert measurement is not None
     assert measurement.mass_g == pytest.approx(2.7 * 1.76715, rel=0.005)

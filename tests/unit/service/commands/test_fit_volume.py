@@ -63,7 +63,7 @@ def test_weighed_stones_give_their_quarry_s_coefficients(tmp_path: Path) -> None
             "gap_share": 0.9,
             "hidden_share": 0.03,
             "n_stones": 12,
-            "density_g_cm3": 2.7,
+            "density_kg_m3": 2700.0,
             "rms_percent": 0.02,
         },
         abs=0.02,
@@ -77,8 +77,8 @@ def test_weighed_stones_give_their_quarry_s_coefficients(tmp_path: Path) -> None
 
 def test_without_a_file_the_built_in_model_is_used() -> None:
     assert MeasuringSettings().parameters.volume_model is SYNTHETIC
-    with pytest.raises(ValueError, match="density_g_cm3"):
-        MeasuringSettings(density_g_cm3=270.0)
+    with pytest.raises(ValueError, match="density_kg_m3"):
+        MeasuringSettings(density_kg_m3=27.0)
 
 
 @pytest.mark.parametrize(

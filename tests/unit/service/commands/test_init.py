@@ -38,7 +38,7 @@ def complete(folder: Path, *more: str) -> Result:
 
 def test_what_it_writes_passes_check_config_and_it_says_what_comes_next(tmp_path: Path) -> None:
     tmp_path /= 'Werk "\U0001d7d9"'
-    done = complete(tmp_path, "--product", "8-16", "--density-g-cm3", "2.65")
+    done = complete(tmp_path, "--product", "8-16", "--density-kg-m3", "2650")
     assert done.exit_code == 0, done.output
     assert "nothing is missing" in done.output
     checked = CliRunner().invoke(
@@ -52,7 +52,7 @@ def test_what_it_writes_passes_check_config_and_it_says_what_comes_next(tmp_path
     ]
     assert settings.rig.interfaces == ("10.77.0.1",)
     assert settings.rig.gate.device.port == "/dev/serial/by-id/usb-ours"
-    assert settings.measuring.density_g_cm3 == 2.65
+    assert settings.measuring.density_kg_m3 == 2650
     assert read_rig(tmp_path / "rig.json").calibration_id == nominal_rig().calibration_id
     for step in (
         "doctor --config",

@@ -85,7 +85,7 @@ def test_every_parameter_of_the_pipeline_can_be_set(tmp_path: Path):
     assert {part.name for part in fields(PipelineParameters)} < Settings.model_fields.keys()
     assert settings_of(tmp_path, MINIMAL).pipeline == PipelineParameters()
     pipeline = settings_of(tmp_path, MINIMAL + "[carving]\nn = 64\n[measuring]\ndensity_g_cm3 = 2.7").pipeline
-    assert (pipeline.carving.n, pipeline.measuring.density_g_cm3) == (64, 2.7)
+    assert (pipeline.carving.n, pipeline.measuring.density_kg_m3) == (64, 2700.0)
 
 
 @pytest.mark.parametrize(
@@ -508,7 +508,7 @@ def test_check_config_prints_settings_that_it_reads_again(tmp_path: Path):
     write_tiny_recording(folder / "recording")
     good = CliRunner().invoke(build_app(), ["check-config", str(path)])
     assert good.exit_code == 0, good.output
-    assert "[measuring]\n# density_g_cm3 is not set\n" in good.stdout
+    assert "[measuring]\n# density_kg_m3 is not set\n" in good.stdout
     assert "keep_raw = 200" in good.stdout
     again = tmp_path / "again.toml"
     again.write_text(good.stdout, encoding="utf-8")

@@ -44,7 +44,7 @@ def measured(shape: ShapeMeasurement | None = None, volume_mm3: float = 6000.0) 
         volume_model="test",
         volume_estimate_mm3=6010.0,
         angularity=None,
-        mass_g=None,
+        density_kg_m3=None,
         uncertainty=Uncertainty(surface_mm={Cause.FOCUS: 0.03}, volume_percent={Cause.FOCUS: 0.5}),
     )
     return ParticleResult(silhouettes={}, quality=Quality.GOOD, measurement=measurement)
