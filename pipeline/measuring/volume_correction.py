@@ -38,7 +38,7 @@ class VolumeModel:
         return hull_mm3 * math.exp(-max(missing, 0.0))
 
 
-SYNTHETIC = VolumeModel(id="synthetic-2", gap_share=1.11)
+SYNTHETIC = VolumeModel(id="synthetic-3", gap_share=1.03)
 """Default coefficients, fitted by tests/accuracy/fit_estimate.py to bodies without hidden dents."""
 
 MIN_BODIES = 5

@@ -78,7 +78,7 @@ def test_files_are_as_promised_and_independent_of_the_workers(recording: Path, t
         assert mesh.is_watertight
         assert mesh.volume == pytest.approx(record["volume_estimate_mm3"], rel=1e-4)
         assert record["hull"]["volume_mm3"] == record["volume_raw_mm3"] > record["volume_estimate_mm3"]
-        assert (record["body"], record["volume_model"]) == ("estimate", "synthetic-2")
+        assert (record["body"], record["volume_model"]) == ("estimate", "synthetic-3")
         assert (one / record["mesh"]).read_bytes() == (two / record["mesh"]).read_bytes()
         silhouettes = one / "silhouettes" / record["bundle"]
         assert {path.stem for path in silhouettes.iterdir()} == set(record["views"])
