@@ -79,7 +79,9 @@ def note_entry(connection: sqlite3.Connection, new: DiaryRequest, who: str) -> D
     (number,) = connection.execute("SELECT coalesce(max(entry), 0) + 1 FROM diary").fetchone()
     noted = DiaryEntry(**asdict(new) | {"entry": number, "at": at, "who": who, "noted_at": now})
     connection.execute(
-        "INSERT INTO diary VALUES (:entry, :at, :kind, :text, :value, :who, :noted_at)", asdict(noted)
+        "INSERT INTO diary (entry, at, kind, text, value, who, noted_at)"
+        " VALUES (:entry, :at, :kind, :text, :value, :who, :noted_at)",
+        asdict(noted),
     )
     audit.note(connection, who, "diary noted", str(number), after=asdict(noted))
     note_event(connection, NewEvent(type=EventType.DIARY_NOTED, subject=str(number), data=asdict(noted)))
