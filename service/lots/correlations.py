@@ -16,7 +16,7 @@ from pipeline.gradation.correlation import MappingForm, SievedLot, SizeMapping, 
 from service.base.errors import ProblemError, ProblemKind
 from service.base.schema import OptionalTime, Time, served
 from service.lots.laboratory import valid_sievings
-from service.lots.lots import LotState, lots
+from service.lots.lots import LotChoice, LotState, lots
 from service.lots.stones import stones_of_lot
 from service.store import audit
 from service.store.schema import rows_by_name
@@ -131,7 +131,7 @@ def study_of(connection: sqlite3.Connection, product: str, form: MappingForm) ->
     """
     names = [
         each.lot
-        for each in lots(connection, None, product, None, MOST_LOTS)
+        for each in lots(connection, LotChoice(product=product), MOST_LOTS)
         if each.state is not LotState.VOID
     ]
     sieved = {

@@ -6,12 +6,10 @@ issued report. What changes its figures later is another revision, which is comp
 
 import json
 import sqlite3
-from collections.abc import Mapping
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from http import HTTPStatus
-from types import MappingProxyType
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -265,18 +263,37 @@ def lots_of_sample(connection: sqlite3.Connection, sample_id: str) -> list[LotDo
     return _lots(connection, "definition ->> 'sample_id' = ?", (sample_id,), MOST_RUNS)[::-1]
 
 
-def lots(
-    connection: sqlite3.Connection,
-    state: LotState | None,
-    product: str | None,
-    before: str | None,
-    limit: int,
-    said: Mapping[str, str | None] = MappingProxyType({}),
-) -> list[LotDocument]:
-    """Return up to `limit` lots that fit, opened before a time, newest first; `said`: fields of their definitions."""
-    conditions = {"shown_state = ?": state, "product = ?": product, "opened_at < ?": before}
-    conditions |= {f"definition ->> '{name}' = ?": value for name, value in said.items()}
-    given = {text: value for text, value in conditions.items() if value is not None}
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LotChoice:
+    """Lots that are asked for; None: any."""
+
+    state: LotState | None = None
+    product: str | None = None
+    before: str | None = None
+    """Opened before this time, RFC 3339 UTC."""
+    external_id: str | None = None
+    order: str | None = None
+    customer: str | None = None
+    search: str | None = None
+    """Part of the id, the product, or one of the three above."""
+
+
+SAID = {name: f"definition ->> '{name}'" for name in ("external_id", "order", "customer")}
+"""What the plant says of a lot and finds it by, in SQL."""
+SEARCHED = " || char(10) || ".join(("lot", "product", *(f"coalesce({said}, '')" for said in SAID.values())))
+CONDITIONS = {
+    "state": "shown_state = ?",
+    "product": "product = ?",
+    "before": "opened_at < ?",
+    **{name: f"{said} = ?" for name, said in SAID.items()},
+    "search": f"instr(lower({SEARCHED}), lower(?)) > 0",
+}
+"""Condition of each field of `LotChoice`."""
+
+
+def lots(connection: sqlite3.Connection, choice: LotChoice, limit: int) -> list[LotDocument]:
+    """Return up to `limit` lots that fit, newest first."""
+    given = {CONDITIONS[name]: value for name, value in asdict(choice).items() if value is not None}
     return _lots(connection, " AND ".join(given) or "TRUE", tuple(given.values()), limit)
 
 

@@ -213,6 +213,15 @@ async def test_a_lot_is_found_by_the_numbers_of_the_plant(client: httpx.AsyncCli
     for name, number in numbers.items():
         found = (await client.get("/lots", params={name: number})).json()["items"]
         assert [each["lot"] for each in found] == ["L1"]
+    for part, fitting in (
+        ("2345/1", ["L1"]),
+        ("los 1", ["L1"]),
+        ("brÜ", ["L1"]),
+        ("Basalt", ["L2", "L1"]),
+        ("%", []),
+    ):
+        found = (await client.get("/lots", params={"search": part})).json()["items"]
+        assert [each["lot"] for each in found] == fitting, part
     refused = await opened(client, lot="4500012345/10")
     assert_problem(refused, 422, "invalid-request")
     assert "external_id" in refused.json()["detail"]

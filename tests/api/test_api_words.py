@@ -14,7 +14,7 @@ from support.rest import assert_problem
         ("/results?afte=3", "afte: .*did you mean after"),
         (
             "/lots?colour=red",
-            "colour: .*there are before, customer, external_id, limit, order, product, state",
+            "colour: .*there are before, customer, external_id, limit, order, product, search, state",
         ),
         ("/health?verbose=1", "verbose: .*there are none here"),
     ],

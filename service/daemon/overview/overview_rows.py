@@ -24,7 +24,7 @@ from service.daemon.overview.overview_documents import (
 )
 from service.lots.evaluation import lot_figures, window_figures
 from service.lots.figures import LotFigures
-from service.lots.lots import LotState, lots
+from service.lots.lots import LotChoice, LotState, lots
 from service.lots.products import find_product
 from service.lots.yardsticks import Request
 from service.results.fields import Outcome
@@ -187,7 +187,7 @@ def _newest(connection: sqlite3.Connection) -> tuple[OverviewStone, ...]:
 
 
 def _open_lot(connection: sqlite3.Connection) -> OverviewLot | None:
-    found = lots(connection, LotState.OPEN, None, None, 1)
+    found = lots(connection, LotChoice(state=LotState.OPEN), 1)
     if not found:
         return None
     (lot,) = found

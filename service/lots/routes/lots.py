@@ -14,6 +14,7 @@ from pydantic import BaseModel, Field
 from service.base.ids import ID
 from service.base.schema import GivenTime, RequestBody, request_body
 from service.lots.lots import (
+    LotChoice,
     LotDefinition,
     LotDocument,
     LotState,
@@ -80,6 +81,11 @@ Given = Annotated[str | None, Field(max_length=200)]
 class LotsQuery(BaseModel):
     """Which lots are listed."""
 
+    search: Given = Field(
+        default=None,
+        description="Only lots with this in their id, product, `external_id`, `order` or `customer`; a to z and A"
+        " to Z are alike",
+    )
     state: LotState | None = Field(default=None, description="Only lots in this state")
     product: Annotated[str | None, Field(max_length=64)] = Field(
         default=None, description="Only lots of this product"
@@ -127,8 +133,8 @@ async def post_lot(context: Context, wanted: LotRequest, response: Response, ask
 @router.get("", response_model=LotsPage, dependencies=READABLE)
 async def list_lots(context: Context, query: Annotated[LotsQuery, Query()]) -> LotsPage:
     """List the lots, newest first."""
-    said = query.model_dump(include={"external_id", "order", "customer"})
-    found = await context.store.read(lots, query.state, query.product, query.before, query.limit + 1, said)
+    choice = LotChoice(**query.model_dump(exclude={"limit"}))
+    found = await context.store.read(lots, choice, query.limit + 1)
     items = found[: query.limit]
     return LotsPage(items=items, next_before=items[-1].opened_at if len(found) > query.limit else None)
 

@@ -39,6 +39,7 @@ class Page:
 
 PAGES = {
     "/": Page("operator", style="operator", section="/"),
+    "/lots": Page("lots", style="lots", section="/lots"),
     "/gallery": Page("gallery", style="stones", section="/gallery"),
     "/compare": Page("compare", style="stones", section="/compare"),
     "/setup": Page("setup", style="setup", section="/setup"),

@@ -1,0 +1,61 @@
+/** The lots: the open one, all others with their verdicts and reports, and the products that they are of. */
+
+import { get } from "./api.js";
+import { askWhenNew, latestOnly } from "./asking.js";
+import { byId, html, setText, show } from "./dom.js";
+import { showOrigin, showProblem, startPage } from "./header.js";
+import { follow } from "./live.js";
+import { showLots } from "./lots/list.js";
+import { showOpenLot } from "./lots/open_lot.js";
+import { editProduct, productsTable } from "./lots/products.js";
+import { word } from "./words.js";
+
+const STATES = ["open", "closing", "closed", "void"];
+const PAGE = 50;
+const latest = latestOnly();
+const form = byId("filters");
+
+await startPage();
+document.title = `${word("lots.title")} – stonefall`;
+let shown = [], products = [];
+const option = (value, text) => html.option({ value }, text);
+show(byId("state"), option("", word("lots.any")), STATES.map((state) => option(state, word(`lots.state-${state}`))));
+form.addEventListener("input", renew);
+form.addEventListener("submit", (event) => event.preventDefault());
+byId("more").addEventListener("click", () => list(shown.at(-1).opened_at).catch(showProblem));
+byId("new-product").addEventListener("click", () => editProduct(null, showProducts));
+await showProducts();
+const renewWhenNew = askWhenNew(renew);
+follow({
+  onOverview(overview) {
+    showOrigin(overview);
+    renewWhenNew({ lot: overview.lot?.lot ?? null, measured: overview.accounting.measured, open: overview.accounting.in_progress });
+  },
+  onSilence: () => {},
+});
+
+/** Show lots and the open one as they are now. */
+async function renew() {
+  setText(byId("problem"), "");
+  await list().catch(showProblem);
+}
+
+async function list(before = null) {
+  const asked = new URLSearchParams([...new FormData(form)].filter(([, value]) => value !== ""));
+  asked.set("limit", PAGE);
+  if (before !== null) asked.set("before", before);
+  const [page, { items: open }] = await latest(Promise.all([get(`/lots?${asked}`), get("/lots?state=open")]));
+  shown = before === null ? page.items : [...shown, ...page.items];
+  showLots(byId("list"), shown, renew);
+  byId("more").hidden = page.next_before === null;
+  showOpenLot(byId("open-lot"), open[0] ?? null, products, renew);
+}
+
+async function showProducts() {
+  ({ items: products } = await get("/products").catch(() => ({ items: [] })));
+  show(byId("products"), products.length === 0 ? html.p({ class: "note" }, word("lots.no-products")) : productsTable(products, showProducts));
+  const chosen = byId("product").value;
+  show(byId("product"), option("", word("lots.any")), products.map(({ product }) => option(product, product)));
+  byId("product").value = chosen;
+  await renew();
+}
