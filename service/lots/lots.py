@@ -6,19 +6,19 @@ issued report. What changes its figures later is another revision, which is comp
 
 import json
 import sqlite3
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, fields, replace
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from http import HTTPStatus
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import BaseModel, Field
 
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
 from service.base.errors import ProblemError, ProblemKind
 from service.base.ids import NEW_ID
-from service.base.schema import Name, OptionalTime, Remark, Time, request_body
+from service.base.schema import GivenTime, Name, OptionalTime, Remark, Time, request_body
 from service.base.status import Report
 from service.lots.outcome import LotCompletion
 from service.lots.products import find_product
@@ -27,6 +27,7 @@ from service.store.events import EventType, NewEvent, note_event
 from service.store.schema import rows_by_name
 
 Tonnage = Annotated[float, Field(ge=0, le=1e6)]
+Given = Annotated[str | None, Field(max_length=200)]
 REST_S = 10.0
 """Time without another revision after which a lot whose stones are measured again is completed."""
 MOST_RUNS = 1000
@@ -263,19 +264,22 @@ def lots_of_sample(connection: sqlite3.Connection, sample_id: str) -> list[LotDo
     return _lots(connection, "definition ->> 'sample_id' = ?", (sample_id,), MOST_RUNS)[::-1]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LotChoice:
-    """Lots that are asked for; None: any."""
+class LotChoice(BaseModel):
+    """Lots that are asked for; what is absent holds for any."""
 
-    state: LotState | None = None
-    product: str | None = None
-    before: str | None = None
-    """Opened before this time, RFC 3339 UTC."""
-    external_id: str | None = None
-    order: str | None = None
-    customer: str | None = None
-    search: str | None = None
-    """Part of the id, the product, or one of the three above."""
+    state: LotState | None = Field(default=None, description="Only lots in this state")
+    product: Annotated[str | None, Field(max_length=64)] = Field(
+        default=None, description="Only lots of this product"
+    )
+    external_id: Given = Field(default=None, description="Only lots with this id in the plant's own system")
+    order: Given = Field(default=None, description="Only lots of this order")
+    customer: Given = Field(default=None, description="Only lots of this customer")
+    search: Given = Field(
+        default=None,
+        description="Only lots with this in their id, product, `external_id`, `order` or `customer`; a to z and A"
+        " to Z are alike",
+    )
+    before: GivenTime | None = Field(default=None, description="Opened before, RFC 3339")
 
 
 SAID = {name: f"definition ->> '{name}'" for name in ("external_id", "order", "customer")}
@@ -293,7 +297,11 @@ CONDITIONS = {
 
 def lots(connection: sqlite3.Connection, choice: LotChoice, limit: int) -> list[LotDocument]:
     """Return up to `limit` lots that fit, newest first."""
-    given = {CONDITIONS[name]: value for name, value in asdict(choice).items() if value is not None}
+    given = {
+        CONDITIONS[name]: value
+        for name, value in choice.model_dump(include=set(CONDITIONS)).items()
+        if value is not None
+    }
     return _lots(connection, " AND ".join(given) or "TRUE", tuple(given.values()), limit)
 
 

@@ -102,5 +102,3 @@ CHANGES_GUIDE = "service/remeasuring/README.md"
 """Guide that has them as a table."""
 ALGORITHM_VERSION = list(CHANGES)[-1]
 """Version of the algorithm: the last of `CHANGES`."""
-SAME_BY_DEFAULT = (ALGORITHM_VERSION,)
-"""Versions whose results by default settings are those of today, bit for bit: their measured figures hold."""

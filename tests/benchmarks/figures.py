@@ -21,6 +21,8 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
+from service.results.version import ALGORITHM_VERSION, CHANGES
+
 ROOT = Path(__file__).parents[2]
 FIGURES, TABLES = ROOT / "tests/benchmarks/figures.json", ROOT / "tests/benchmarks/figures.md"
 PLACE = re.compile(r"\{([^{}:]+):([^{}]*)\}")
@@ -207,13 +209,37 @@ RUNS: Mapping[str, Run] = {
 
 OF_SERVICE = frozenset({"peers", "deaths", "readers", "lots", "pull", "priorities", "start", "cluster"})
 """Runs that measure carving, or what the service does beside measuring: a new algorithm does not outdate them."""
+LEFT_BY = {
+    "20": frozenset(
+        name
+        for name in RUNS
+        if name.startswith(("drops", "bumps", "live"))
+        or name
+        in {
+            "paper",
+            "concave",
+            "segmentation",
+            "times",
+            "scaling",
+            "sustained",
+            "refined-load",
+            "refinement-8",
+        }
+    ),
+}
+"""Runs without a figure that a version of the algorithm changed: 20 is another coefficient of the corrected volume."""
+
+
+def is_outdated(run: str, version: str) -> bool:
+    """Whether a later version of the algorithm than `version` may have changed the figures of a run."""
+    return run not in OF_SERVICE and any(
+        int(later) > int(version) and run not in LEFT_BY.get(later, ()) for later in CHANGES
+    )
 
 
 def measure(name: str) -> dict[str, dict[str, Any]]:
     """Run a command, and return its figures by name with where they are from."""
     from research.performance import processor_gflops
-
-    from service.results.version import ALGORITHM_VERSION
 
     run = RUNS[name]
     words = shlex.split(run.command)

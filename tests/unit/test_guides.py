@@ -5,10 +5,9 @@ from pathlib import Path
 
 import pytest
 import typer
-from benchmarks.figures import OF_SERVICE, in_guide, read_figures, tables, used_figures
+from benchmarks.figures import in_guide, is_outdated, read_figures, tables, used_figures
 
 from service.commands.cli import COMMANDS, build_app
-from service.results.version import SAME_BY_DEFAULT
 
 ROOT = Path(__file__).parents[2]
 GUIDES = sorted(
@@ -103,5 +102,5 @@ def test_no_measured_figure_is_of_an_older_algorithm() -> None:
     """Measure again what changed: tests/benchmarks/figures.py."""
     figures = read_figures()
     assert figures.keys() == used_figures()
-    older = {name for name, figure in figures.items() if figure["algorithm"] not in SAME_BY_DEFAULT}
-    assert {name for name in older if name.partition("/")[0] not in OF_SERVICE} == set()
+    older = {name for name, each in figures.items() if is_outdated(name.partition("/")[0], each["algorithm"])}
+    assert older == set()

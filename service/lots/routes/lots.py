@@ -75,25 +75,9 @@ class AssignRequest(RequestBody):
     until: Annotated[GivenTime, Field(description="Captured before")]
 
 
-Given = Annotated[str | None, Field(max_length=200)]
+class LotsQuery(LotChoice):
+    """Lots that are listed."""
 
-
-class LotsQuery(BaseModel):
-    """Which lots are listed."""
-
-    search: Given = Field(
-        default=None,
-        description="Only lots with this in their id, product, `external_id`, `order` or `customer`; a to z and A"
-        " to Z are alike",
-    )
-    state: LotState | None = Field(default=None, description="Only lots in this state")
-    product: Annotated[str | None, Field(max_length=64)] = Field(
-        default=None, description="Only lots of this product"
-    )
-    external_id: Given = Field(default=None, description="Only lots with this id in the plant's own system")
-    order: Given = Field(default=None, description="Only lots of this order")
-    customer: Given = Field(default=None, description="Only lots of this customer")
-    before: GivenTime | None = Field(default=None, description="Opened before, RFC 3339")
     limit: int = Field(default=100, ge=1, le=1000, description="Lots of a page, at most")
 
 
@@ -133,8 +117,7 @@ async def post_lot(context: Context, wanted: LotRequest, response: Response, ask
 @router.get("", response_model=LotsPage, dependencies=READABLE)
 async def list_lots(context: Context, query: Annotated[LotsQuery, Query()]) -> LotsPage:
     """List the lots, newest first."""
-    choice = LotChoice(**query.model_dump(exclude={"limit"}))
-    found = await context.store.read(lots, choice, query.limit + 1)
+    found = await context.store.read(lots, query, query.limit + 1)
     items = found[: query.limit]
     return LotsPage(items=items, next_before=items[-1].opened_at if len(found) > query.limit else None)
 
