@@ -7,8 +7,16 @@ than specified has a check that names it, made by the part that it is about. Her
 from collections.abc import Iterable
 
 from pipeline.views.quality import ViewsParameters
-from service.base.status import AcquisitionState, AcquisitionStatus, Checks, CheckStatus, Health, Ne107
-from service.health.alarms.rules import CAMERA, load_rules
+from service.base.status import (
+    AcquisitionState,
+    AcquisitionStatus,
+    Checks,
+    CheckStatus,
+    Health,
+    HealthCheck,
+    Ne107,
+)
+from service.health.alarms.rules import CAMERA, Priority, load_rules
 from service.health.findings import gate_ne107
 
 
@@ -17,6 +25,7 @@ def assess(
 ) -> Health:
     """Return the checks of all parts, in the order of `alarms.toml`, and the state that follows from them.
 
+    Reasons are in the order of their alarms' priorities, the most urgent first, and then in that of the checks.
     NE 107: a failed check other than a camera's is *failure*; cameras count as the quality of the results
     they still allow: reduced is *maintenance required*, degraded *out of specification*.
     """
@@ -29,7 +38,10 @@ def assess(
     cameras = {name for name in checks if name.startswith(f"{CAMERA}:")}
     # what all cameras have in common explains each of them
     explained = passing if "cameras" in passing else passing | cameras
-    reasons = tuple(f"{name}: {check.detail}" for name, check in checks.items() if name not in explained)
+    told = sorted(
+        (name for name in checks if name not in explained), key=lambda name: _rank(name, checks[name])
+    )
+    reasons = tuple(f"{name}: {checks[name].detail}" for name in told)
     is_armed = acquisition.state is AcquisitionState.ARMED
     if not is_armed:
         reasons = (f"acquisition: {acquisition.state}", *reasons)
@@ -51,3 +63,10 @@ def assess(
         gate_ne107=gate_ne107(acquisition),
         rig_ne107=rig_ne107,
     )
+
+
+def _rank(name: str, check: HealthCheck) -> int:
+    """Return the rank of a check by the priority of its alarm, 0 for the most urgent; one that is no alarm comes last."""
+    rule = load_rules().of(name)
+    priority = None if rule is None else rule.priority(check.status)
+    return len(Priority) if priority is None else priority.rank

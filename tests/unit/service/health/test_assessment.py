@@ -289,6 +289,13 @@ def test_a_rig_that_is_not_armed_is_not_ready_and_says_so_first(state: Acquisiti
     assert (health.ne107, health.ready, health.reasons[0]) == (ne107, False, f"acquisition: {state}")
 
 
+def test_the_most_urgent_reason_comes_first():
+    loop, optics = {"loop": loop_check(414.0)}, {"optics": trouble_check("c07: dust of 14.5 %")}
+    health = assessed({**loop, **optics, "store": store_check(None, ("corrupt-1",), last_seq=7, n_waiting=0)})
+    assert [each.partition(": ")[0] for each in health.reasons] == ["store", "optics", "loop"]
+    assert list(health.checks).index("loop") < list(health.checks).index("store")
+
+
 def test_sixteen_lost_cameras_are_one_alarm_and_it_is_the_switch():
     health = assessed(devices(statuses=cameras(16), common_cause="all 16 are gone: look at the switch"))
     assert (health.ne107, health.ready) == (Ne107.FAILURE, False)
@@ -416,6 +423,6 @@ def test_few_days_left_and_results_removed_unread_ask_for_maintenance():
     short = replace(facts, use=replace(use, days_left=6.9), overrun=("mes",), trouble="not permitted")
     health = assessed(retention_checks(short))
     assert (health.ne107, health.ready) == (Ne107.MAINTENANCE_REQUIRED, True)
-    days, retention = health.reasons
+    retention, days = health.reasons  # the more urgent first
     assert "make room, or set limits in [store.retention]" in days
     assert retention.startswith("retention: not permitted; results were removed that mes had not read")
