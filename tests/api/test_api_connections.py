@@ -85,6 +85,32 @@ async def test_a_request_that_does_not_come_ends_the_connection(
     assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
 
 
+@pytest.mark.parametrize(
+    ("target", "status"),
+    [
+        ("http://127.0.0.1:8080/api/v1/health/live", 200),
+        ("HTTP://localhost/api/v1/%68ealth/live", 200),
+        ("https://localhost/api/v1/results?after=0", 200),
+        ("http://localhost", 200),
+        ("http://localhost/api/v1/nothing", 404),
+        ("http://rebound.example/api/v1/results", 421),
+        ("http://localhost@rebound.example/api/v1/results", 404),
+        ("ftp://localhost/api/v1/results", 404),
+    ],
+)
+async def test_a_target_that_is_a_whole_address_is_answered_as_its_path(
+    served: Served, target: str, status: int
+) -> None:
+    """RFC 9112, 3.2.2: proxies and some PLCs send it; its host counts, not the header `Host`."""
+    client = await served.connect(f"GET {target} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+    assert (await client.reader.readline()).startswith(f"HTTP/1.1 {status} ".encode())
+
+
+async def test_the_host_of_a_whole_address_counts_in_place_of_a_foreign_header(served: Served) -> None:
+    client = await served.connect(LIVE.replace(b"GET ", b"GET http://127.0.0.1").replace(b"localhost", b"a.b"))
+    assert (await client.reader.readline()).startswith(b"HTTP/1.1 200")
+
+
 async def test_an_offer_of_http_2_is_not_taken_and_fills_no_log(
     served: Served, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -39,6 +39,7 @@ from service.web.request_ids import with_request_ids
 from service.web.routes import screens
 from service.web.sessions import Sessions
 from service.web.settings import ApiSettings
+from service.web.targets import answering_whole_addresses
 from service.web.version import API_VERSION, BASE
 
 ROOMS = (
@@ -73,7 +74,8 @@ def create_app(
     app.add_middleware(paced, is_known=partial(has_right_key, context=app.state.context))
     app.add_middleware(in_pieces)
     app.add_middleware(answering_heads)
-    app.add_middleware(with_request_ids)  # the outermost: every answer has one
+    app.add_middleware(with_request_ids)  # every answer has one
+    app.add_middleware(answering_whole_addresses)  # the outermost: all others see a path
     return app
 
 
