@@ -43,6 +43,10 @@ class ForeignPages:
         if has_body and media_type != "application/json":
             detail = f"Content-Type must be application/json, not {media_type!r}"
             return Problem(415, "unsupported-media-type", detail)
+        coding = request.headers.get("content-encoding", "identity")
+        if has_body and coding.strip().lower() != "identity":
+            detail = f"a body must not be compressed: Content-Encoding is {coding!r}"
+            return Problem(415, "unsupported-media-type", detail, headers={"Accept-Encoding": "identity"})
         return None
 
     def _is_ours(self, host: str, server: tuple[str, int | None] | None) -> bool:

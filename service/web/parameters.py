@@ -31,9 +31,17 @@ ANEW = Depends(_take_time)
 
 
 async def only_known_words(request: Request) -> None:
-    """Raise the problem 422 for a word of the query that the route does not know: a typing error changes no answer."""
+    """Raise the problem 422 for a word of the query that the route does not know: a typing error changes no answer.
+
+    So it does for a value that is not UTF-8, which would find nothing.
+    """
     known = _words_of(request.scope["route"].dependant) if request.query_params else ()
     wrong = [(word, _unknown(word, known)) for word in request.query_params if word not in known]
+    wrong += [
+        (f"query.{word}", "must be UTF-8, each byte of an umlaut as % and two digits")
+        for word, value in request.query_params.multi_items()
+        if "\ufffd" in value  # in the place of what could not be decoded
+    ]
     if wrong:
         raise invalid_request(*wrong)
 

@@ -1,6 +1,7 @@
 """Errors as RFC 9457 problem details: one form for all of them, without stack traces."""
 
 import logging
+import re
 from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any, TypeVar
@@ -63,6 +64,8 @@ MOST_ERRORS = 100
 """Most wrong fields that an answer names."""
 MOST_CHARACTERS = 500
 """Longest name and longest message of a wrong field: both may repeat the request."""
+LOST_PLUS = re.compile(r"\d \d\d:?\d\d$")
+"""The end of a time whose `+` came as a blank."""
 
 
 class FieldError(BaseModel):
@@ -191,6 +194,12 @@ def _problem_of_any(request: Request, error: Exception) -> Problem:
             return error
         case ProblemError():
             return problem_of(error)
+        case HTTPException(__cause__=UnicodeDecodeError() as err):
+            detail = (
+                f"a body must be UTF-8: byte 0x{err.object[err.start]:02X} at position {err.start} is not,"
+                " as in Latin-1 and Windows-1252"
+            )
+            return Problem(400, "bad-request", detail)
         case HTTPException(status_code=status, headers=headers):
             if status == HTTPStatus.METHOD_NOT_ALLOWED:  # Starlette names those of the first route alone
                 headers = {"Allow": _allowed_methods(request) or "GET"}
@@ -220,6 +229,8 @@ def _wrong_field(error: Mapping[str, Any]) -> tuple[str, str]:
     """Return where a wrong value is, without the type that pydantic tried for a parameter, and what is wrong."""
     place = error["loc"] if error["loc"][0] == "body" else error["loc"][:2]
     message = ID_WORDS if error.get("ctx", {}).get("pattern") in (ID, NEW_ID) else error["msg"]
+    if error["loc"][0] == "query" and LOST_PLUS.search(str(error["input"])):
+        message += "; a plus sign is %2B in a query"
     return _shortened(".".join(map(str, place))), _shortened(message)
 
 

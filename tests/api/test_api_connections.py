@@ -107,7 +107,9 @@ async def test_a_target_that_is_a_whole_address_is_answered_as_its_path(
 
 
 async def test_the_host_of_a_whole_address_counts_in_place_of_a_foreign_header(served: Served) -> None:
-    client = await served.connect(LIVE.replace(b"GET ", b"GET http://127.0.0.1").replace(b"localhost", b"a.b"))
+    client = await served.connect(
+        LIVE.replace(b"GET ", b"GET http://127.0.0.1").replace(b"localhost", b"a.b")
+    )
     assert (await client.reader.readline()).startswith(b"HTTP/1.1 200")
 
 

@@ -112,5 +112,16 @@ async def test_bodies_are_json_and_say_so(
     assert_problem(signed, 415, "unsupported-media-type")
 
 
+async def test_a_compressed_body_is_refused_as_such(client: httpx.AsyncClient) -> None:
+    for coding, status in (("gzip", 415), ("identity", 200)):
+        headers = {"Content-Type": "application/json", "Content-Encoding": coding}
+        answer = await client.put("/acquisition", content=b'{"state": "disarmed"}', headers=headers)
+        assert answer.status_code == status
+        if status == 415:
+            assert_problem(answer, 415, "unsupported-media-type")
+            assert answer.json()["detail"] == "a body must not be compressed: Content-Encoding is 'gzip'"
+            assert answer.headers["Accept-Encoding"] == "identity"
+
+
 async def test_a_program_needs_no_body_to_write(client: httpx.AsyncClient) -> None:
     assert (await client.post("/calibrations/0001/activate")).status_code == 200
