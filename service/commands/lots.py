@@ -27,7 +27,9 @@ for of_laboratory in (sieving, sievings, correlations):
     command.command()(of_laboratory)
 
 Lot = Annotated[str, typer.Argument(metavar="LOT", help="Name of the lot.")]
-SieveSet = Annotated[str | None, typer.Option("--sieves", help="Sieve set, in the place of the product's.")]
+SieveSet = Annotated[
+    str | None, typer.Option("--sieves", help="Sieve set, or 4,5.6,8 (mm), in the place of the product's.")
+]
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,14 +3,17 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from pydantic import TypeAdapter, ValidationError
+
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange, SieveSet
 from pipeline.gradation.specification import Range, Specification, specification_of, with_declaration
 from service.base.errors import InvalidRequestError
-from service.lots.products import OwnSpecification, ProductDefinition
+from service.lots.products import Apertures, OwnSpecification, ProductDefinition
 from service.lots.standards import read_standards
 
 DEFAULT_SET = "stonefall"
 """Sieves of stones without a product."""
+APERTURES = TypeAdapter[tuple[float, ...]](Apertures)
 
 
 class UnknownYardstickError(InvalidRequestError):
@@ -22,6 +25,7 @@ class Request:
     """Choices of a request in the place of the product's."""
 
     sieve_set: str | None = None
+    """Name of a set, or apertures in mm: `4,5.6,8`."""
     specification: str | None = None
     measured: MeasuredRange = OF_THE_RIG
 
@@ -57,13 +61,19 @@ def specification_names() -> list[str]:
 
 
 def _sieves(wanted: str | tuple[float, ...]) -> SieveSet:
-    if isinstance(wanted, str):
-        found = read_standards().sieve_sets.get(wanted)
-        if found is None:
-            raise _unknown("sieve_set", wanted, read_standards().sieve_sets)
-        return found
+    known = read_standards().sieve_sets
+    if isinstance(wanted, str) and wanted in known:
+        return known[wanted]
+    if isinstance(wanted, str) and not wanted[:1].isdigit():
+        raise _unknown("sieve_set", wanted, [*known, "apertures in mm such as 4,5.6,8"])
+    given = wanted.split(",") if isinstance(wanted, str) else wanted
     try:
-        return SieveSet(name="own sieves", source="the site's own", apertures_mm=wanted)
+        apertures_mm = APERTURES.validate_python(given)
+        return SieveSet(name="own sieves", source="the site's own", apertures_mm=apertures_mm)
+    except ValidationError as err:
+        (error, *_) = err.errors()
+        where = f"{given[error['loc'][0]]!r}: " if error["loc"] else ""
+        raise UnknownYardstickError(f"sieve_set: apertures in mm: {where}{error['msg']}") from err
     except ValueError as err:
         raise UnknownYardstickError(f"sieve_set: {err}") from err
 

@@ -268,9 +268,28 @@ async def test_a_lot_is_seen_through_any_sieves_and_specification(
     assert other["sieve_set"] == "astm-c136"
     assert other["specification"] == "astm-8"
     assert {step["sieve_mm"] for step in other["curve"]} >= {9.5, 12.5, 19.0}
-    unknown = await client.get("/lots/L1/gradation", params={"sieve_set": "no such"})
-    assert_problem(unknown, 422, "invalid-request")
-    assert "sieve_set" in unknown.text
+    free = (await client.get("/lots/L1/gradation?sieve_set=5,7.1,13.37,90&specification=astm-8")).json()
+    assert free["sieve_set"] == "own sieves"
+    sieves = {step["sieve_mm"]: step["passing_percent"]["state"] for step in free["curve"]}
+    assert sieves.keys() >= {5.0, 7.1, 13.37, 90.0}
+    assert (sieves[13.37] == "not_measured", sieves[90.0]) == (False, "not_measured")
+    report = await client.get("/lots/L1/report.csv?sieve_set=5,7.1,13.37&specification=astm-8")
+    assert "13.37" in report.text
+    assert (await client.get("/lots/L1/curve.svg?sieve_set=5,7.1,13.37")).status_code == 200
+    for wrong, why in (
+        ("no such", "there is no 'no such'"),
+        ("5,8,7.1", "must rise"),
+        ("5,,8", "'': "),
+        ("5,x", "'x': "),
+        ("0,4", "'0': Input should be greater than 0"),
+        ("4,1001", "'1001': Input should be less than or equal to 1000"),
+        ("4,nan", "'nan': "),
+        (",".join(map(str, range(1, 102))), "100 items"),
+    ):
+        refused = await client.get("/lots/L1/gradation", params={"sieve_set": wrong})
+        assert_problem(refused, 422, "invalid-request")
+        assert refused.json()["detail"].startswith("sieve_set: ")
+        assert why in refused.json()["detail"]
     assert_problem(await client.get("/lots/L9/gradation"), 404, "unknown-lot")
 
 

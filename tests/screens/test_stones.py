@@ -252,6 +252,37 @@ def _scroll_and_filter(page: Page, replay: DaemonProcess) -> None:
     until(page, "() => document.querySelectorAll('#tiles li').length >= 60")
 
 
+def test_any_sieves_make_the_curve_and_wrong_ones_are_refused(
+    page: Page, watched: Watched, replay: DaemonProcess, lot: str
+) -> None:
+    watched.is_expected = re.compile(f"{SLOW_RENDERER.pattern}|status of 422")
+    page.goto(address(replay, f"/gallery?lot={lot}&language=de"))
+    expect(page.locator("[data-sieve='16']")).to_be_visible()  # the product's
+    sieves = page.get_by_label("Andere Siebe")
+    sieves.fill("5,6; 13,37; 18")
+    sieves.press("Enter")
+    expect(page.locator("[data-sieve='13.37']")).to_be_visible()
+    assert [each.get_attribute("data-sieve") for each in page.locator("[data-sieve]").all()] == [
+        "5.6",
+        "13.37",
+        "18",
+    ]
+    assert "sieve_set=5.6%2C13.37%2C18" in page.url
+    page.locator("[data-sieve='18']").press("Enter")
+    behind = replay.get(f"/lots/{lot}/particles?sieve=18&sieve_set=5.6,13.37,18")["items"]
+    expect(page.locator("#tiles li")).to_have_count(len(behind))
+    screenshot(page, "gallery-sieves")
+    sieves.fill("8 4")
+    sieves.press("Enter")
+    expect(page.locator("#problem")).to_contain_text("must rise")
+    expect(page.locator("#lot-figures")).to_be_hidden()
+    page.go_back()
+    expect(page.locator("[data-sieve='13.37']")).to_be_visible()
+    page.locator("#lot").select_option("")
+    expect(sieves).to_be_hidden()
+    assert "sieve_set" not in page.url
+
+
 def test_the_largest_stones_of_a_lot_come_first(page: Page, replay: DaemonProcess, lot: str) -> None:
     page.goto(address(replay, f"/gallery?lot={lot}"))
     page.get_by_role("button", name="Largest stones first").click()

@@ -54,7 +54,14 @@ class LotVersions(BaseModel):
 
 async def request_of(
     context: Context,
-    sieve_set: Annotated[str | None, Query(max_length=200, description="Another than the product's")] = None,
+    sieve_set: Annotated[
+        str | None,
+        Query(
+            max_length=1000,
+            description="Another than the product's: a name of `/products/standards`, or apertures in mm, rising, such"
+            " as `4,5.6,8,11.2`",
+        ),
+    ] = None,
     specification: Annotated[
         str | None, Query(max_length=200, description="Another than the product's")
     ] = None,

@@ -61,10 +61,19 @@ async function fillChoices() {
 /** Return what the form asks for; another lot has another curve, so nothing of the old one is chosen. */
 function fromForm() {
   const chosen = new URLSearchParams([...new FormData(form)].filter(([, value]) => value !== "" && value !== "measured"));
-  if (chosen.get("lot") !== asked.get("lot")) return chosen;
+  if (chosen.has("sieve_set")) chosen.set("sieve_set", sievesOf(chosen.get("sieve_set")));
+  if (!chosen.has("lot")) chosen.delete("sieve_set");
+  if (["lot", "sieve_set"].some((name) => chosen.get(name) !== asked.get(name))) return chosen;
   for (const [name, value] of asked) if (["sieve", "order", "without"].includes(name)) chosen.append(name, value);
   if (isOfLot()) for (const [name, value] of asked) if (form.elements[name]?.matches("#conditions *")) chosen.append(name, value);
   return chosen;
+}
+
+/** Return sieves as REST takes them: apertures between blanks or semicolons may have decimal commas. */
+function sievesOf(text) {
+  const pieces = text.trim().split(/[;\s]+/).filter((piece) => piece !== "");
+  if (pieces.length < 2) return pieces.join();
+  return pieces.map((piece) => piece.replace(/,$/, "").replace(",", ".")).join();
 }
 
 function go(next) {
@@ -84,9 +93,13 @@ function changed(name, value, isOn) {
 function render() {
   for (const field of form.elements) if (field.name) field.value = asked.get(field.name) ?? (field.name === "outcome" ? "measured" : "");
   byId("conditions").hidden = isOfLot();
+  byId("sieves").hidden = !asked.has("lot");
   byId("heaviest").setAttribute("aria-pressed", String(asked.has("order")));
   setText(byId("problem"), "");
-  showLot().catch(showProblem);
+  showLot().catch((error) => {
+    byId("lot-figures").hidden = true; // it is not of these sieves
+    showProblem(error);
+  });
   const list = new URLSearchParams(asked);
   list.delete("without");
   if (listed === String(list)) return markOut(byId("tiles"), asked.getAll("without"));
@@ -102,10 +115,11 @@ async function showLot() {
   const lot = asked.get("lot");
   const sieveMm = asked.has("sieve") ? Number(asked.get("sieve")) : null;
   const out = asked.getAll("without");
-  const without = new URLSearchParams(out.map((id) => ["without", id]));
+  const sieves = sieveSet();
+  const without = new URLSearchParams([...sieves, ...out.map((id) => ["without", id])]);
   byId("lot-figures").hidden = lot === null;
   const found = await latestFigures(lot && Promise.all([
-    get(`${lotPath()}/gradation`),
+    get(`${lotPath()}/gradation?${sieves}`),
     out.length === 0 ? null : get(`${lotPath()}/gradation?${without}`),
     getText(`${lotPath()}/curve.svg?${new URLSearchParams([["language", language()], ...without])}`),
   ]));
@@ -150,8 +164,13 @@ async function showMore() {
   more.disabled = false;
 }
 
+/** Return the query for the sieves that are asked for in the place of the product's. */
+function sieveSet() {
+  return new URLSearchParams([...asked].filter(([name]) => name === "sieve_set"));
+}
+
 async function stonesOfLot() {
-  const query = asked.has("sieve") ? `sieve=${asked.get("sieve")}&limit=1000` : `limit=${PAGE}`;
+  const query = asked.has("sieve") ? `${sieveSet()}&sieve=${asked.get("sieve")}&limit=1000` : `limit=${PAGE}`;
   const { items, above_mm: aboveMm, up_to_mm: upToMm } = await get(`${lotPath()}/particles?${query}`);
   const n = number(items.length);
   const title = upToMm === null ? word("gallery.heaviest-of", { n }) : word("gallery.stones-of-step", { n, below: sieve(aboveMm), sieve: sieve(upToMm) });
@@ -169,7 +188,7 @@ async function stonesOfPage() {
 function forRest() {
   const query = new URLSearchParams({ kind: "particle", outcome: "measured", limit: PAGE, fields: FIELDS });
   for (const [name, value] of asked) {
-    if (name === "without" || name === "language") continue;
+    if (["without", "language", "sieve_set"].includes(name)) continue;
     if (name === "shape") query.set(...SHAPES[value]);
     else if (name === "max_volume_percent") query.set("max_volume_sd_percent", value / COVERAGE);
     else query.set(name, TIMES.includes(name) ? new Date(value).toISOString() : value);
