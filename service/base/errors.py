@@ -48,7 +48,7 @@ class TooManyError(ProblemError):
 
     kinds = tuple(
         ProblemKind(f"too-many-{things}", HTTPStatus.CONFLICT, f"Too many {things}")
-        for things in ("consumers", "products", "sievings")
+        for things in ("consumers", "products", "sievings", "webhooks")
     )
 
     def __init__(self, things: str, detail: str) -> None:

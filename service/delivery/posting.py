@@ -138,7 +138,10 @@ async def _connect(
     endpoint: WebhookEndpoint, settings: WebhooksSettings, tls: ssl.SSLContext | None
 ) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
     """Connect to the first allowed address that takes a connection."""
-    host, port, addresses = endpoint.host, endpoint.port, await _addresses(endpoint)
+    host, port = endpoint.host, endpoint.port
+    if not settings.allows_host(host):  # any more: the configuration may have changed since it was defined
+        raise NoAnswerError(f"{host} is not in [webhooks] allowed_hosts: not asked")
+    addresses = await _addresses(endpoint)
     allowed = [each for each in addresses if settings.allows_address(host, each)][:MAX_ADDRESSES]
     if not allowed:
         raise NoAnswerError(

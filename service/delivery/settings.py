@@ -18,6 +18,7 @@ from drivers.files.bounded import read_bounded
 from service.base.addresses import address_of, is_host
 from service.base.language import Language
 from service.base.paths import ConfiguredPath
+from service.base.redaction import shown
 from service.base.schema import require_ranges
 from service.store.events import EventType
 
@@ -84,6 +85,11 @@ class WebhookEndpoint:
     def port(self) -> int:
         """TCP port."""
         return self.target.port or PORTS[self.target.scheme]
+
+    @property
+    def shown_url(self) -> str:
+        """The URL without what may be secret: scheme, host and first part of the path."""
+        return shown(self.target._replace(query="").geturl())
 
     def keys(self) -> list[bytes]:
         """Return the keys to sign with; reads files. Raises `ValueError`, which names the file."""

@@ -41,11 +41,24 @@ class Attempt:
 
 def begin(connection: sqlite3.Connection, names: Iterable[str]) -> None:
     """Begin new endpoints at the events from now on."""
-    (last,) = connection.execute("SELECT last_event FROM store").fetchone()
-    first = json.dumps(asdict(EndpointProgress(after=last)))
+    first = _first(connection)
     connection.executemany(
         "INSERT OR IGNORE INTO webhooks (name, progress) VALUES (?, ?)", [(name, first) for name in names]
     )
+
+
+def begin_anew(connection: sqlite3.Connection, name: str) -> None:
+    """Begin an endpoint at the events from now on, whatever had its name before."""
+    connection.execute("DELETE FROM webhook_deliveries WHERE name = ?", (name,))
+    connection.execute(
+        "INSERT INTO webhooks (name, progress) VALUES (?, ?) ON CONFLICT DO UPDATE SET progress = excluded.progress",
+        (name, _first(connection)),
+    )
+
+
+def _first(connection: sqlite3.Connection) -> str:
+    (last,) = connection.execute("SELECT last_event FROM store").fetchone()
+    return json.dumps(asdict(EndpointProgress(after=last)))
 
 
 def progress_of(connection: sqlite3.Connection, name: str) -> EndpointProgress:
@@ -77,14 +90,15 @@ def note(
     _add(connection, name, delivery)
     if (now := progress_of(connection, name)) != before:
         return now
-    _keep(connection, name, after)
+    keep(connection, name, after)
     return after
 
 
 def note_trial(connection: sqlite3.Connection, name: str, delivery: Attempt, who: str) -> None:
-    """Note the test of an endpoint, and its requester."""
+    """Note the test of an endpoint, or one event sent again, and its requester."""
     _add(connection, name, delivery)
-    audit.note(connection, who, "webhook tested", name, after=asdict(delivery))
+    action = "webhook tested" if delivery.event is None else "webhook event sent again"
+    audit.note(connection, who, action, name, after=asdict(delivery))
 
 
 def deliveries(connection: sqlite3.Connection, name: str, limit: int) -> list[Attempt]:
@@ -122,9 +136,10 @@ def _add(connection: sqlite3.Connection, name: str, delivery: Attempt) -> None:
 
 def _change(connection: sqlite3.Connection, name: str, who: str, action: str, to: EndpointProgress) -> None:
     audit.note(connection, who, action, name, before=asdict(progress_of(connection, name)), after=asdict(to))
-    _keep(connection, name, to)
+    keep(connection, name, to)
 
 
-def _keep(connection: sqlite3.Connection, name: str, progress: EndpointProgress) -> None:
+def keep(connection: sqlite3.Connection, name: str, progress: EndpointProgress) -> None:
+    """Keep the progress of an endpoint."""
     document = json.dumps(asdict(progress))
     connection.execute("UPDATE webhooks SET progress = ? WHERE name = ?", (document, name))

@@ -9,21 +9,28 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from http import HTTPStatus
+from sqlite3 import Connection
+from typing import Concatenate, ParamSpec, TypeVar
+
+from pydantic import SecretStr
 
 from pipeline.frames import rfc3339
 from service.base.errors import ProblemError, ProblemKind, StoreError
-from service.base.redaction import shown
 from service.base.schema import OptionalTime, served
 from service.base.status import Checks, trouble_check
-from service.delivery import table
+from service.delivery import definitions, table
+from service.delivery.definitions import Definitions, WebhookConflictError
 from service.delivery.posting import Message, message_of, post, signatures, trial_message
 from service.delivery.progress import EndpointAnswer, EndpointProgress, next_progress
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 from service.delivery.table import Attempt
 from service.store import Store
-from service.store.events import EventType, events_after
+from service.store.events import CursorError, EventType, events_after
 
 log = logging.getLogger(__name__)
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 STORE_RETRY_S = 5.0
 """Pause after the store could not be read."""
@@ -38,12 +45,22 @@ class BeingTestedError(ProblemError):
     retry_after_s = 2
 
 
+class UnknownWebhookError(ProblemError):
+    """There is no such endpoint, or not any more."""
+
+    kinds = (ProblemKind("unknown-webhook", HTTPStatus.NOT_FOUND, "No such webhook"),)
+
+
 @served
 class WebhookDocument:
     """An endpoint that events are posted to, and its progress; without its secrets."""
 
     name: str
     """As it is configured"""
+    is_of_configuration: bool
+    """True: the file of settings alone changes it; false: it was made over REST"""
+    n_secrets: int
+    """Secrets that each message is signed with: 2 during a rotation"""
     url: str
     """Scheme, host and first part of the path: the rest may be secret"""
     events: tuple[EventType, ...]
@@ -64,6 +81,14 @@ class WebhookDocument:
     """When it took a message last; null before the first"""
     disabled_at: OptionalTime
     """Not null: it gets nothing until it is enabled"""
+
+
+@served
+class DefinedWebhook(WebhookDocument):
+    """An endpoint that was made or changed over REST."""
+
+    secret: str | None
+    """The secret that was made for it, shown this once; null when none was made"""
 
 
 @dataclass(slots=True)
@@ -108,28 +133,36 @@ class Webhooks:
         self._chance = chance
         self._wait = wait
         self._is_changed = asyncio.Event()
-        self._take(settings)
+        self._defining = asyncio.Lock()
+        self._take(settings, Definitions((), ()))
 
     async def use(self, settings: WebhooksSettings) -> None:
-        """Serve these endpoints from now on, and no others; a message under way may be sent once more."""
-        if settings.endpoints:
-            await self._store.write(table.begin, [endpoint.name for endpoint in settings.endpoints])
-        self._take(settings)
+        """Serve these endpoints and those of the store from now on, and no others.
 
-    def _take(self, settings: WebhooksSettings) -> None:
+        Of two with one name the configuration's is served. A message under way may be sent once more.
+        """
+        async with self._defining:
+            if settings.endpoints:
+                await self._store.write(table.begin, [endpoint.name for endpoint in settings.endpoints])
+            self._take(settings, await self._store.read(definitions.definitions, self._store.dir))
+
+    def _take(self, settings: WebhooksSettings, defined: Definitions) -> None:
         self._settings = settings
-        self._endpoints = {endpoint.name: endpoint for endpoint in settings.endpoints}
+        self._unreadable = defined.unreadable
+        self._endpoints = {endpoint.name: endpoint for endpoint in (*defined.endpoints, *settings.endpoints)}
         self._told = {name: _Told() for name in self._endpoints}
         self._is_changed.set()
 
     @property
     def troubles(self) -> list[str]:
         """Which endpoints are disabled or have failed for long, and why."""
-        return [
+        found = [
             f"{name}: {trouble}"
             for name, told in self._told.items()
             if told.progress is not None and (trouble := _trouble(told.progress, self._now())) is not None
         ]
+        unreadable = f"cannot be read with {definitions.SEAL} of this machine: define it anew, or remove it"
+        return [*found, *(f"{name}: {unreadable}" for name in self._unreadable)]
 
     def checks(self) -> Checks:
         troubles = self.troubles
@@ -159,14 +192,59 @@ class Webhooks:
         """Return an endpoint, None if there is none of this name."""
         return self._endpoints.get(name)
 
+    def require(self, name: str) -> WebhookEndpoint:
+        """Return an endpoint; raise `UnknownWebhookError` if there is none of this name."""
+        if (found := self.find(name)) is None:
+            raise UnknownWebhookError(f"there is no webhook {name}")
+        return found
+
+    async def define(self, wanted: WebhookEndpoint, is_given: bool, who: str) -> bool:
+        """Make or change an endpoint over REST, and return whether it is new; see `definitions.define`.
+
+        Raises `ValueError` if its host is not one that the configuration allows.
+        """
+        if not self._settings.allows_host(wanted.host):
+            raise ValueError(
+                f"url: its host {wanted.host} is not in [webhooks] allowed_hosts of the configuration"
+            )
+        return await self._change(wanted.name, definitions.define, self._store.dir, wanted, is_given, who)
+
+    async def rotate(self, name: str, secret: SecretStr, who: str) -> None:
+        """Sign with another secret as well."""
+        await self._change(name, definitions.rotate, self._store.dir, name, secret, who)
+
+    async def end_rotation(self, name: str, who: str) -> None:
+        """Sign with the newest secret alone from now on."""
+        await self._change(name, definitions.end_rotation, self._store.dir, name, who)
+
+    async def remove(self, name: str, who: str) -> None:
+        """Remove an endpoint that was made over REST; raise `UnknownWebhookError` if there is none."""
+        if not await self._change(name, definitions.remove, name, who):
+            raise UnknownWebhookError(f"there is no webhook {name}")
+
+    async def _change(
+        self, name: str, change: Callable[Concatenate[Connection, P], T], *args: P.args, **kwargs: P.kwargs
+    ) -> T:
+        """Return `change(connection, ...)`, after which the endpoints of the store are others."""
+        if self._is_of_configuration(name):
+            raise WebhookConflictError(f"webhook {name} is of the configuration: change it there")
+        changed = await self._store.write(change, *args, **kwargs)
+        await self.use(self._settings)
+        return changed
+
+    def _is_of_configuration(self, name: str) -> bool:
+        return any(endpoint.name == name for endpoint in self._settings.endpoints)
+
     async def status(self, name: str) -> WebhookDocument:
         """Return an endpoint and its progress."""
-        endpoint = self._endpoints[name]
+        endpoint = self.require(name)
         progress = asdict(await self._store.read(table.progress_of, name))
         del progress["waited_s"]
         return WebhookDocument(
             name=name,
-            url=shown(endpoint.target._replace(query="").geturl()),
+            is_of_configuration=self._is_of_configuration(name),
+            n_secrets=len(endpoint.secrets) + len(endpoint.secret_files),
+            url=endpoint.shown_url,
             events=endpoint.events,
             waiting=await self._store.read(table.n_due, progress["after"], endpoint.events),
             **progress,
@@ -174,7 +252,7 @@ class Webhooks:
 
     async def statuses(self) -> list[WebhookDocument]:
         """Return all endpoints and their progress."""
-        return [await self.status(name) for name in self._endpoints]
+        return [await self.status(name) for name in tuple(self._endpoints)]
 
     async def enable(self, name: str, who: str) -> None:
         """Try an endpoint again at once, whether it was disabled or waits."""
@@ -191,12 +269,26 @@ class Webhooks:
 
     async def test(self, name: str, who: str) -> Attempt:
         """Send a message without an event, once, disabled or not; raise `BeingTestedError` while one is being sent."""
-        endpoint, told = self._endpoints[name], self._told[name]
+        message = trial_message(self._store.instance_id, rfc3339(self._now()))
+        return await self._send_once(name, message, who)
+
+    async def resend(self, name: str, event: int, who: str) -> Attempt:
+        """Send one event once more, out of its turn and under the id that it had; as `test` does.
+
+        Raises `CursorError` if it is not there yet, or no longer.
+        """
+        found = await self._store.read(events_after, event - 1, 1)
+        if not found.items or found.items[0]["seq"] != event:
+            problem = f"events {found.first_seq} to {found.last_seq} are kept, not {event}"
+            raise CursorError(problem, event, found.first_seq, found.last_seq)
+        return await self._send_once(name, message_of(found.items[0], self._store.instance_id), who)
+
+    async def _send_once(self, name: str, message: Message, who: str) -> Attempt:
+        endpoint, told = self.require(name), self._told[name]
         if told.is_testing:
             raise BeingTestedError(f"webhook {name} is being tested")
         told.is_testing = True
         try:
-            message = trial_message(self._store.instance_id, rfc3339(self._now()))
             _, delivery = await self._send(endpoint, told, message, attempt=1)
             await self._store.write(table.note_trial, name, delivery, who)
         finally:

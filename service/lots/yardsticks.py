@@ -66,13 +66,12 @@ def _sieves(wanted: str | tuple[float, ...]) -> SieveSet:
         return known[wanted]
     if isinstance(wanted, str) and not wanted[:1].isdigit():
         raise _unknown("sieve_set", wanted, [*known, "apertures in mm such as 4,5.6,8"])
-    given = wanted.split(",") if isinstance(wanted, str) else wanted
     try:
-        apertures_mm = APERTURES.validate_python(given)
+        apertures_mm = APERTURES.validate_python(wanted.split(",") if isinstance(wanted, str) else wanted)
         return SieveSet(name="own sieves", source="the site's own", apertures_mm=apertures_mm)
     except ValidationError as err:
         (error, *_) = err.errors()
-        where = f"{given[error['loc'][0]]!r}: " if error["loc"] else ""
+        where = f"{error['input']!r}: " if error["loc"] else ""
         raise UnknownYardstickError(f"sieve_set: apertures in mm: {where}{error['msg']}") from err
     except ValueError as err:
         raise UnknownYardstickError(f"sieve_set: {err}") from err
