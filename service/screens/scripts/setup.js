@@ -1,4 +1,4 @@
-/** The page that sets the rig up: four wizards, of which the address names one. */
+/** The page that sets the rig up: four wizards and the webhooks, of which the address names one. */
 
 import { byId, html, show } from "./dom.js";
 import { startPage } from "./header.js";
@@ -6,9 +6,10 @@ import { mountCalibration } from "./setup/calibration.js";
 import { mountPlaces } from "./setup/places.js";
 import { mountRecording } from "./setup/recording.js";
 import { mountVerification } from "./setup/verification.js";
+import { mountWebhooks } from "./setup/webhooks.js";
 import { word } from "./words.js";
 
-const WIZARDS = { places: mountPlaces, calibration: mountCalibration, verification: mountVerification, recording: mountRecording };
+const WIZARDS = { places: mountPlaces, calibration: mountCalibration, verification: mountVerification, recording: mountRecording, webhooks: mountWebhooks };
 
 await startPage();
 window.addEventListener("hashchange", enter);
