@@ -16,6 +16,7 @@ from pydantic import SecretStr
 
 from drivers.files.bounded import read_bounded
 from service.base.addresses import address_of, is_host
+from service.base.ids import ID
 from service.base.language import Language
 from service.base.paths import ConfiguredPath
 from service.base.redaction import shown
@@ -57,7 +58,7 @@ class WebhookEndpoint:
     ca_file: ConfiguredPath | None = None  # instead of the system's certificates
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"[A-Za-z0-9_.-]{1,64}", self.name):
+        if not re.fullmatch(ID, self.name):
             raise ValueError(f"name is 1 to 64 letters, digits, dots and dashes, not {self.name!r}")
         if (problem := _url_problem(self.url)) is not None:
             raise ValueError(f"{self.name}: url {problem}")

@@ -113,6 +113,12 @@ async def test_the_host_of_a_whole_address_counts_in_place_of_a_foreign_header(s
     assert (await client.reader.readline()).startswith(b"HTTP/1.1 200")
 
 
+async def test_no_consumer_has_a_name_that_clients_take_out_of_an_address(served: Served) -> None:
+    head = PUT.replace(b"acquisition", b"consumers/../cursor") + b"Content-Length: 12\r\n\r\n"
+    client = await served.connect(head + b'{"after": 0}')
+    assert (await client.reader.readline()).startswith(b"HTTP/1.1 422")
+
+
 async def test_an_offer_of_http_2_is_not_taken_and_fills_no_log(
     served: Served, caplog: pytest.LogCaptureFixture
 ) -> None:

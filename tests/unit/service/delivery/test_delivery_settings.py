@@ -57,6 +57,7 @@ def test_what_is_needed_and_the_rest_by_default(tmp_path: Path) -> None:
         ((f'"{SECRET}"', f'"{SECRET}", "{SECRET}", "{SECRET}"'), "two during a rotation"),
         ((f'"{SECRET}"', '"whsec_c2hvcnQ="'), "mes: secrets: a secret is base64 of 24 to 64 bytes, not of 5"),
         (('name = "mes"', 'name = "m e s"'), "name is 1 to 64 letters"),
+        (('name = "mes"', 'name = ".."'), "name is 1 to 64 letters"),
         (('name = "mes"', 'name = "mes"\nevents = ["lot.eaten"]'), "webhooks.endpoints.0.events.0"),
         (('name = "mes"', 'name = "mes"\nevents = []'), "mes: events names no event"),
         (('name = "mes"', 'name = "mes"\nsecret = "x"'), "webhooks.endpoints.0.secret"),
