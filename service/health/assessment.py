@@ -66,7 +66,7 @@ def assess(
 
 
 def _rank(name: str, check: HealthCheck) -> int:
-    """Return the rank of a check by the priority of its alarm, 0 for the most urgent; one that is no alarm comes last."""
+    """Return 0 for the most urgent check, by the priority of its alarm, and more for others."""
     rule = load_rules().of(name)
     priority = None if rule is None else rule.priority(check.status)
     return len(Priority) if priority is None else priority.rank
