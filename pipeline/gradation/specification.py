@@ -71,6 +71,7 @@ class Specification:
 
     name: str
     source: str
+    is_general: bool = False  # values are general knowledge of the source, not compared with its text
     passing: Mapping[float, Range]  # by aperture in mm
     flakiness: Range | None = None
     shape: Range | None = None
@@ -238,6 +239,7 @@ class Category:
     name: str
     source: str
     passing: tuple[CategoryLimit, ...]
+    is_general: bool = False
 
 
 def specification_of(
@@ -256,6 +258,7 @@ def specification_of(
     return Specification(
         name=f"{category.name} {lower_mm:g}/{upper_mm:g}",
         source=category.source,
+        is_general=category.is_general,
         passing={
             _nearest(limit.factor * (upper_mm if limit.is_upper else lower_mm), sieves_mm): limit.limits
             for limit in category.passing

@@ -1,5 +1,6 @@
-"""`stonefall report`: the report of offline results, as of a lot."""
+"""`stonefall report`: the report of offline results, as of a lot; the check of a signed one."""
 
+import re
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
@@ -7,19 +8,31 @@ from typing import Annotated
 
 import typer
 
+from drivers.files.bounded import read_bounded
 from drivers.files.durable import write_file
 from drivers.files.times import utc_now
 from service.base.errors import ServiceError, UsageError
 from service.base.language import Language
 from service.commands.options import SizeOptions, with_options
 from service.commands.results_folder import read_results
+from service.configuration.settings import load_settings
 from service.lots.evaluation import figures_of
 from service.lots.products import Product
 from service.lots.stones import stones_in
 from service.lots.yardsticks import Request, UnknownYardstickError
 from service.reports.lot_reports import RENDERERS
 from service.reports.report import ReportData, ReportFormat
+from service.reports.signatures import (
+    MAX_KEY_BYTES,
+    SignatureState,
+    checked,
+    fingerprint_of,
+    grouped,
+    known_fingerprints,
+)
 from service.web.version import API_VERSION
+
+MAX_REPORT_BYTES = 50_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,14 +46,35 @@ class ReportedProduct(SizeOptions):
 
 @with_options
 def command(
-    results: Annotated[
-        Path, typer.Argument(metavar="RESULTS", help="Folder that `stonefall measure` wrote.")
-    ],
-    out: Annotated[Path, typer.Option(help="Folder for report.html, .pdf, .csv and .xlsx.")],
     product: ReportedProduct,
+    results: Annotated[
+        Path | None, typer.Argument(metavar="RESULTS", help="Folder that `stonefall measure` wrote.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for report.html, .pdf, .csv and .xlsx.")] = None,
     language: Annotated[Language, typer.Option(help="Language of the report.")] = Language.ENGLISH,
+    verify: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Check the signature of this PDF instead.")
+    ] = None,
+    key: Annotated[
+        str | None,
+        typer.Option(
+            help="With --verify: the instrument's key: its fingerprint, the public key, or a file with the answer of"
+            " GET /instrument/key."
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="With --verify: TOML file of the daemon, whose keys are relied on.")
+    ] = None,
 ) -> None:
-    """Write the report of measured results: curve with its interval, indices, verdict, accounting."""
+    """Write the report of measured results: curve with its interval, indices, verdict, accounting.
+
+    With --verify: check a report that an instrument signed, and exit with 1 unless a key that is known signed it.
+    """
+    if verify is not None:
+        _verify(verify, key, config)
+        return
+    if results is None or out is None:
+        raise UsageError("RESULTS and --out are needed, or --verify FILE")
     defined = Product(product=product.title, version=1, created_at=utc_now(), **asdict(product))
     try:
         figures = figures_of(stones_in(read_results(results)), Request(), defined)
@@ -61,3 +95,34 @@ def command(
         raise ServiceError(f"--out {out}: {err.strerror}") from err
     verdict = "" if figures.verdict is None else f": {figures.verdict.replace('_', ' ')}"
     typer.echo(f"{out}: report of {figures.measured} stones{verdict}")
+
+
+def _verify(file: Path, key: str | None, config: Path | None) -> None:
+    """Print what the signature of a report proves; raise `ServiceError` unless a key that is relied on signed it."""
+    known = set() if config is None else known_fingerprints(load_settings(config).store.dir)
+    if key is not None:
+        known.add(_fingerprint(key))
+    try:
+        found = checked(read_bounded(file, MAX_REPORT_BYTES), known)
+    except OSError as err:
+        raise ServiceError(f"{file}: {err.strerror}") from err
+    if found.state is SignatureState.UNKNOWN_KEY and known:
+        raise ServiceError(
+            f"{file}: signed by another key, {found.fingerprint}, not by {', '.join(sorted(known))}"
+        )
+    if found.state is not SignatureState.GENUINE:
+        raise ServiceError(f"{file}: {found.detail}")
+    typer.echo(f"{file}: {found.detail}")
+
+
+def _fingerprint(key: str) -> str:
+    """Return the fingerprint that a text or a file names; raise `UsageError` for another one."""
+    path = Path(key)
+    text = read_bounded(path, MAX_KEY_BYTES).decode(errors="replace") if path.is_file() else key
+    public = re.search(r"\b[0-9a-f]{64}\b", text)
+    if public is not None:
+        return fingerprint_of(public[0])
+    digits = re.sub(r"[\s:-]", "", text.lower())
+    if not re.fullmatch(r"[0-9a-f]{32}", digits):
+        raise UsageError(f"--key {key}: is no fingerprint, no public key and no file with one")
+    return grouped(digits)

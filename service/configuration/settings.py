@@ -33,6 +33,8 @@ from service.delivery.settings import FileDropSettings, WebhooksSettings, delive
 from service.health.optical_watch import OpticalParameters
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import RecordingsSettings
+from service.reports.letterhead import logo_of
+from service.reports.plant import PlantSettings
 from service.store import KEEP_RAW
 from service.store.keys import stored_keys
 from service.store.retention import RetentionLimits
@@ -108,6 +110,7 @@ class Settings(BaseModel):
     workers: WorkersSettings = WorkersSettings()
     recordings: RecordingsSettings = RecordingsSettings()
     lots: Live[LotsSettings] = LotsSettings()
+    plant: Live[PlantSettings] = PlantSettings()
     api: ApiSettings = ApiSettings()
     webhooks: Live[WebhooksSettings] = WebhooksSettings()
     file_drop: FileDropSettings | None = None
@@ -161,6 +164,11 @@ def problems(settings: Settings) -> Iterator[str]:
         yield f"measuring.volume_model: {err}"
     if settings.measuring.volume_model is not None and settings.body.kind == "hull":
         yield 'measuring.volume_model: needs an estimated body: leave body.kind = "hull" out, or the model'
+    if settings.plant.logo is not None:
+        try:
+            logo_of(settings.plant.logo)
+        except ValueError as err:
+            yield f"plant.logo: {err}"
     for name, folder in (("spool.dir", settings.spool.dir), ("store.dir", settings.store.dir)):
         if problem := _write_problem(folder):
             yield f"{name}: {problem}"

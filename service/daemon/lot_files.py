@@ -1,12 +1,14 @@
 """The files of a closed lot, for the drop folder and as its issued report, made in the process `stonefall-read`."""
 
 import hashlib
+import logging
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from sqlite3 import Connection
 
 from drivers.files.times import utc_now
-from service.base.errors import ServiceError, WorkerFailure
+from service.base.errors import ServiceError, StoreError, WorkerFailure
 from service.delivery.file_drop import FileDrop, LotFiles, MakeFiles, Purpose
 from service.delivery.settings import DropFormat, FileDropSettings
 from service.lots.lots import complete_lot, uncompleted_lots
@@ -16,11 +18,14 @@ from service.lots.yardsticks import Request
 from service.processing.worker_process import worker_boundary
 from service.reports.lot_reports import ISSUED, RENDERERS, ReportRequest, RigStanding, report_data
 from service.reports.report import ReportFormat
+from service.reports.signatures import instrument_key, note_key, signed
 from service.store import Store
 from service.store.schema import connect_reader
 from service.web.control import Control
 from service.web.reader_process import Reading
 from service.web.version import BASE
+
+log = logging.getLogger(__name__)
 
 
 class FilesFailedError(ServiceError):
@@ -51,7 +56,9 @@ def lot_files(
     """
     try:
         with worker_boundary(), connect_reader(path) as connection:
-            data = report_data(connection, particles_dir, lot, wanted, has_pictures=DropFormat.PDF in formats)
+            key = instrument_key(path.parent) if DropFormat.PDF in formats else None
+            signer = None if key is None else key.fingerprint
+            data = report_data(connection, particles_dir, lot, wanted, has_pictures=False, signer=signer)
             if data is None or data.figures.lot is None:
                 return None
             content = {
@@ -60,6 +67,15 @@ def lot_files(
                 else RENDERERS[ReportFormat(each)](data)
                 for each in formats
             }
+            if key is not None:
+                content[DropFormat.PDF] = signed(
+                    content[DropFormat.PDF],
+                    key,
+                    instrument=wanted.rig.plant.instrument_serial,
+                    lot=lot,
+                    revision=data.figures.lot.revision,
+                    signed_at=data.created_at,
+                )
             outcome = {name: getattr(data.figures, name) for name in LotOutcome.model_fields}
             return LotFiles(revision=data.figures.lot.revision, content=content, outcome=outcome)
     except WorkerFailure as failure:
@@ -67,15 +83,28 @@ def lot_files(
 
 
 def issued_reports(store: Store) -> FileDrop:
-    """Return the writer of the report of each revision of a closed lot, which is completed by it."""
+    """Return the writer of the report of each revision of a closed lot, which is completed by it.
+
+    The key that signs them is made with the first start; what is wrong with it keeps lots from being completed, not the
+    daemon from measuring.
+    """
     folder = store.dir / ISSUED
     folder.mkdir(exist_ok=True)
+    try:
+        instrument_key(store.dir)
+    except StoreError as err:
+        log.error("no report can be signed: %s", err)
     wanted = FileDropSettings(dir=folder, formats=(DropFormat.PDF,))
-    return FileDrop(store, wanted, Purpose(check="issued_reports", due=uncompleted_lots, note=note_issued))
+    return FileDrop(
+        store,
+        wanted,
+        Purpose(check="issued_reports", due=uncompleted_lots, note=partial(note_issued, store.dir)),
+    )
 
 
-def note_issued(connection: Connection, lot: str, files: LotFiles) -> None:
-    """Complete a revision of a lot within a transaction: its report is durable."""
+def note_issued(state_dir: Path, connection: Connection, lot: str, files: LotFiles) -> None:
+    """Complete a revision of a lot within a transaction: its report is durable, and the key that signed it is noted."""
+    note_key(connection, instrument_key(state_dir).public_key)
     completion = LotCompletion(
         **files.outcome,
         revision=files.revision,

@@ -36,6 +36,7 @@ from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
 from service.reports.lot_reports import RigStanding
+from service.reports.plant import PlantSettings
 from service.reports.report import LastVerification, VerificationOutcome
 from service.results.fields import Verified
 from service.store.checks import free_bytes
@@ -91,7 +92,7 @@ class Daemon:
             Health: self.health,
             Inputs: partial(diagnostic_inputs, self.settings),
             LotsSettings: lambda: self.settings.lots,
-            RigStanding: partial(rig_standing, self.calibrations),
+            RigStanding: lambda: rig_standing(self.calibrations, self.settings.plant),
             Settings: lambda: self.settings,
         }
         if kind in states:
@@ -163,8 +164,9 @@ class Daemon:
         return f"{self.acquisition.state}, {self.spool.n_queued} bundles waiting, last result {last_seq}"
 
 
-def rig_standing(calibrations: Calibrations) -> RigStanding:
-    """Return the last verification of the rig file in use, and whether another one is overdue."""
+def rig_standing(calibrations: Calibrations, plant: PlantSettings) -> RigStanding:
+    """Return the last verification of the rig file in use, whether another one is overdue, and the plant."""
+    is_asked = calibrations.verifications.parameters.every_h > 0
     last = calibrations.verifications.last(calibrations.rig_file.calibration_id)
     return RigStanding(
         verification=None
@@ -176,5 +178,6 @@ def rig_standing(calibrations: Calibrations) -> RigStanding:
             diameter_mm=last.diameter_mm,
             error_mm=None if last.summary is None else last.summary.error_mm,
         ),
-        is_overdue=calibrations.verified is Verified.OVERDUE,
+        is_overdue=is_asked and calibrations.verified in (Verified.OVERDUE, Verified.NEVER),
+        plant=plant,
     )

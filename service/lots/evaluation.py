@@ -126,6 +126,7 @@ def figures_of(
         sieve_set=yardstick.sieves.name,
         specification=name,
         specification_source=None if specification is None else specification.source,
+        specification_is_general=specification is not None and specification.is_general,
         curve=_curve(gradation, judgement),
         correlated=None if correlation is None else _correlated(stones.lot, correlation, yardstick),
         quantiles=[

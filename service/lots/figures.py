@@ -85,6 +85,10 @@ class LotFigures(LotOutcome):
     sieve_set: str = Field(description="Sieves that were used")
     specification: str | None = Field(description="Specification that was judged by; null: none")
     specification_source: str | None = Field(description="Standard or site that the specification is from")
+    specification_is_general: bool = Field(
+        default=False,
+        description="True when its limits are general knowledge of the standard, not compared with its text",
+    )
     curve: list[CurveStep] = Field(description="By rising sieve")
     correlated: CorrelatedCurve | None = Field(
         default=None, description="Null without a correlation study of the product"

@@ -48,7 +48,9 @@ def read_standards(folder: Path = FOLDER) -> Standards:
             },
             flakiness_fractions={name: table.low_high_slot_mm for name, table in sieves.flakiness.items()},
             categories={
-                name: Category(name=name, source=table.source, passing=table.passing)
+                name: Category(
+                    name=name, source=table.source, passing=table.passing, is_general=table.is_general
+                )
                 for name, table in specifications.categories.items()
             },
             flakiness=specifications.flakiness.limits,
@@ -99,7 +101,11 @@ class _SievesFile(_Strict):
     flakiness: dict[str, _FlakinessTable]
 
 
-class _CategoryTable(_Table):
+class _LimitsTable(_Table):
+    is_general: bool = False
+
+
+class _CategoryTable(_LimitsTable):
     D: dict[PositiveFloat, _Limits]  # by multiples of the upper size
     d: dict[PositiveFloat, _Limits]  # of the lower one
 
@@ -120,7 +126,7 @@ class _IndexTable(_Table):
         return {name: Range(0.0, percent) for name, percent in self.max_percent.items()}
 
 
-class _SizeTable(_Table):
+class _SizeTable(_LimitsTable):
     passing: dict[PositiveFloat, _Limits] = Field(min_length=1)
 
 

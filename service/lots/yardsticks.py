@@ -93,7 +93,7 @@ def _specification(
         if flakiness is None and shape is None and not declared:
             return None
         title = "declared grading" if declared else "indices alone"
-        found = Specification(name=title, source="EN 12620", passing={})
+        found = Specification(name=title, source="EN 12620", is_general=not declared, passing={})
     elif wanted in read_standards().sizes:
         found = read_standards().sizes[wanted]
     else:

@@ -11,14 +11,12 @@ from service.reports.document import (
     Block,
     Card,
     Cards,
-    Column,
     Document,
     Note,
     Section,
-    Signatures,
-    Table,
     facts,
 )
+from service.reports.letterhead import letterhead, signature
 from service.reports.report import GalleryStone, LastVerification, ReportData, VerificationOutcome
 from service.reports.results import gradation, indices, judged_indices, laboratory, limits, with_interval
 from service.reports.words import LONGEST_HEADING, Words, abridged, words
@@ -34,9 +32,8 @@ FAMILIES: Mapping[str, tuple[str, str]] = {
 
 def document_of(data: ReportData) -> Document:
     """Return the report as HTML and PDF print it."""
-    say, figures = words(data.language), data.figures
+    say, figures = words(data.language, data.plant.zone), data.figures
     name = abridged(figures.lot.lot, LONGEST_HEADING) if figures.lot else say("report.no_lot")
-    signed = (say("signature.tested_by"), say("signature.released_by"))
     sections = (
         lot_section(data, say),
         gradation(data, say),
@@ -46,11 +43,11 @@ def document_of(data: ReportData) -> Document:
         calibration(data, say),
         uncertainty(data, say),
         *((gallery(data.gallery, say),) if data.gallery else ()),
-        versions(data, say),
-        Section(say("signature.title"), (Signatures(signed),)),
+        signature(data, say),
     )
     return Document(
         language=data.language,
+        letterhead=letterhead(data, say),
         title=say("report.title", name=name),
         subtitle=_subtitle(data, say),
         banners=tuple(banners(data, say)),
@@ -205,21 +202,20 @@ def accounting(figures: LotFigures, say: Words) -> Section:
         if mass_kg is None
         else say("accounting.kg", value=say.number(mass_kg, 2)),
         portion=portion(figures, say),
+        missing=", ".join(
+            f"{accounted(reason, say)} {say.number(n, 0)}" for reason, n in missing.by_reason.items()
+        ),
     )
     n_missing = say.number(missing.n_stones, 0)
     if not missing.n_stones:
         return Section(say("accounting.title"), (block, Note(say("accounting.nothing_missing"))))
-    table = Table(
-        (Column(say("accounting.reason"), is_number=False, width=4), Column(say("accounting.stones"))),
-        [(accounted(reason, say), say.number(n, 0)) for reason, n in missing.by_reason.items()],
-    )
     bound = say("accounting.bound_unknown", n=n_missing)
     if missing.expected_percent is not None and missing.at_most_percent is not None:
         expected, at_most = (
             say.number(percent, 1) for percent in (missing.expected_percent, missing.at_most_percent)
         )
         bound = say("accounting.bound", n=n_missing, expected=expected, at_most=at_most)
-    return Section(say("accounting.title"), (block, Note(say("accounting.missing")), table, Note(bound)))
+    return Section(say("accounting.title"), (block, Note(bound)))
 
 
 def _counts(family: str, counts: Mapping[str, int], say: Words) -> str:
@@ -250,7 +246,7 @@ def portion(figures: LotFigures, say: Words) -> str:
 
 
 def calibration(data: ReportData, say: Words) -> Section:
-    """Return the section on the calibrations of the results and the last verification."""
+    """Return the section on the evidence: calibrations, the last verification, versions."""
     figures, last = data.figures, data.verification
     blocks: list[Block] = [
         facts(
@@ -259,9 +255,15 @@ def calibration(data: ReportData, say: Words) -> Section:
             ids=abridged(", ".join(figures.calibration_ids) or say("calibration.none")),
             scale=say("calibration.percent", value=say.number(figures.scale_sd_percent, 3)),
             last=say("calibration.never") if last is None else _verification(last, say),
+            software=say(
+                "calibration.versions",
+                software=abridged(data.software_version),
+                api=abridged(data.api_version),
+                algorithm=abridged(", ".join(figures.algorithm_versions) or DASH),
+            ),
         )
     ]
-    if last is None or data.is_verification_overdue:
+    if data.is_verification_overdue:
         blocks.append(Note(say("calibration.overdue"), is_warning=True))
     if last is not None and last.outcome is VerificationOutcome.FAILED:
         blocks.append(Note(say("calibration.failed"), is_warning=True))
@@ -296,6 +298,8 @@ def uncertainty(data: ReportData, say: Words) -> Section:
         ),
         Note(say("uncertainty.limits")),
     ]
+    if figures.specification_is_general:
+        notes.append(Note(say("uncertainty.general", source=abridged(figures.specification_source or DASH))))
     if data.uncertainty_remark:
         notes.append(Note(abridged(data.uncertainty_remark, 2000)))
     return Section(say("uncertainty.title"), notes)
@@ -317,17 +321,4 @@ def gallery(stones: Sequence[GalleryStone], say: Words) -> Section:
         )
         for stone in stones[:MOST_CARDS]
     ]
-    return Section(say("gallery.title"), (Cards(cards),))
-
-
-def versions(data: ReportData, say: Words) -> Section:
-    """Return the section on the versions of software, algorithm and interface."""
-    block = facts(
-        say,
-        "versions",
-        software=abridged(data.software_version),
-        algorithm=abridged(", ".join(data.figures.algorithm_versions) or DASH),
-        api=abridged(data.api_version),
-        created=say.time(data.created_at),
-    )
-    return Section(say("versions.title"), (block,))
+    return Section(say("gallery.title"), (), (Cards(cards),))

@@ -128,7 +128,9 @@ def _figure_row(
 def _laboratory_rows(data: ReportData) -> Iterator[Row]:
     correlated, version = data.figures.correlated_percent, data.figures.correlation_version
     for sieving in data.sievings:
+        given = {name: getattr(sieving.document, name) for name in ("sample_id", "remark")}
         about = {"id": str(sieving.sieving), "at": sieving.at, "by": sieving.document.by, "study": version}
+        about |= {name: text for name, text in given.items() if text}
         yield from _named("laboratory", about)
         for sieve_mm, percent in sieving.document.passing_percent.items():
             yield Row("laboratory", "passing_percent", percent, "%", sieve_mm)
@@ -154,7 +156,8 @@ def accounting_rows(figures: LotFigures) -> Iterator[Row]:
 
 
 def _about_rows(data: ReportData) -> Iterator[Row]:
-    """Yield calibration, verification and versions behind the figures."""
+    """Yield plant, calibration, verification and versions behind the figures."""
+    yield from _named("plant", data.plant.texts)
     figures, last = data.figures, data.verification
     verification = ("id", "at", "outcome", "diameter_mm", "error_mm")
     known: Mapping[str, Scalar] = {
@@ -165,6 +168,7 @@ def _about_rows(data: ReportData) -> Iterator[Row]:
         **{f"verification_{name}": None if last is None else getattr(last, name) for name in verification},
         "is_verification_overdue": data.is_verification_overdue,
         "uncertainty_remark": data.uncertainty_remark,
+        "specification_is_general": figures.specification_is_general,
         "algorithm_versions": ", ".join(figures.algorithm_versions),
         "software_version": data.software_version,
         "api_version": data.api_version,

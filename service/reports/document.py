@@ -106,6 +106,17 @@ class Section:
 
     title: str
     blocks: Sequence[Block]
+    on_screen: Sequence[Block] = ()  # what HTML has beyond: paper is for the customer's desk
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Letterhead:
+    """Head of the first page: who answers for the report, and where it is to be seen."""
+
+    lines: Sequence[str]
+    logo_svg: str | None
+    address: str | None  # what the QR code says
+    qr_svg: str | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,6 +124,7 @@ class Document:
     """A whole report."""
 
     language: str
+    letterhead: Letterhead
     title: str
     subtitle: str
     banners: Sequence[str]  # what makes it no report of production, or none that counts

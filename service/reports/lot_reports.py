@@ -3,7 +3,7 @@
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 
@@ -17,6 +17,8 @@ from service.lots.yardsticks import Request
 from service.particles.renditions import NotKeptError, preview_png
 from service.reports.csv_file import render_csv
 from service.reports.curve import Beside, curve_svg
+from service.reports.letterhead import logo_of
+from service.reports.plant import PlantSettings
 from service.reports.printed import render_html, render_pdf
 from service.reports.report import GalleryReason, GalleryStone, LastVerification, ReportData, ReportFormat
 from service.reports.words import words
@@ -46,10 +48,11 @@ NEAREST = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigStanding:
-    """Facts about the rig that a report states: its last verification, and whether another one is overdue."""
+    """Facts about rig and plant that a report states: the last verification, and whether another one is overdue."""
 
     verification: LastVerification | None
-    is_overdue: bool
+    is_overdue: bool  # False where the configuration asks for none
+    plant: PlantSettings = field(default_factory=PlantSettings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +82,8 @@ def lot_report(
     report_format: ReportFormat,
 ) -> bytes | None:
     """Return the report of a lot, None if there is none."""
-    data = report_data(connection, particles_dir, lot, wanted, has_pictures=True)
+    has_pictures = report_format is ReportFormat.HTML
+    data = report_data(connection, particles_dir, lot, wanted, has_pictures=has_pictures)
     return None if data is None else RENDERERS[report_format](data)
 
 
@@ -98,8 +102,9 @@ def report_data(
     wanted: ReportRequest,
     *,
     has_pictures: bool,
+    signer: str | None = None,
 ) -> ReportData | None:
-    """Return the contents of the report of a lot, None if there is no such lot."""
+    """Return the contents of the report of a lot, None if there is no such lot; `signer`: see `ReportData`."""
     figures = lot_figures(connection, lot, wanted.figures)
     if figures is None:
         return None
@@ -114,7 +119,17 @@ def report_data(
         is_verification_overdue=wanted.rig.is_overdue,
         sievings=valid_sievings(connection, lot),
         gallery=_gallery(connection, particles_dir, lot, limits_mm) if has_pictures else (),
+        plant=wanted.rig.plant,
+        logo_svg=_logo(wanted.rig.plant),
+        signer=signer,
     )
+
+
+def _logo(plant: PlantSettings) -> str | None:
+    """Return the logo, None if there is none, or none any more: a report does without."""
+    with suppress(ValueError):
+        return None if plant.logo is None else logo_of(plant.logo)
+    return None
 
 
 def _gallery(

@@ -39,7 +39,7 @@ def render_html(data: ReportData) -> bytes:
         return Markup(svg(drawing, Language(document.language)))  # noqa: S704 - all texts in it are escaped by svg()
 
     template = templates_in(TEMPLATES).get_template("page.html")
-    text = template.render(document=document, drawn=drawn, data_uri=data_uri)
+    text = template.render(document=document, drawn=drawn, data_uri=data_uri, svg_uri=svg_uri)
     return text.encode("utf-8", "replace")
 
 
@@ -47,6 +47,11 @@ def data_uri(png: bytes | None) -> str | None:
     """Return a picture as an address that holds it; None if it is none."""
     found = readable_png(png)
     return None if found is None else "data:image/png;base64," + b64encode(found).decode("ascii")
+
+
+def svg_uri(svg: str) -> str:
+    """Return a drawing as an address that holds it."""
+    return "data:image/svg+xml;base64," + b64encode(svg.encode()).decode("ascii")
 
 
 def render_pdf(data: ReportData, font_folder: Path = DEJAVU) -> bytes:

@@ -1,12 +1,13 @@
 """Data of a lot's report: its figures, and the rest that a person signs for."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from service.base.language import Language
 from service.lots.figures import LotFigures
 from service.lots.laboratory import StoredSieving
+from service.reports.plant import PlantSettings
 
 Scalar = str | int | float | bool | None
 """What a cell of a table holds."""
@@ -85,3 +86,6 @@ class ReportData:
     uncertainty_remark: str | None = None  # of this rig, beside the statement that every report has
     sievings: Sequence[StoredSieving] = ()
     gallery: Sequence[GalleryStone] = ()
+    plant: PlantSettings = field(default_factory=PlantSettings)
+    logo_svg: str | None = None
+    signer: str | None = None  # fingerprint of the key that signs the file; None: it is not signed

@@ -29,7 +29,7 @@ def with_interval(figure: Estimate | None, decimals: int, say: Words) -> str:
 
 
 def gradation(data: ReportData, say: Words) -> Section:
-    """Return the curve, its table, and the quantiles."""
+    """Return the curve and its table."""
     figures = data.figures
     laboratory_passing = data.sievings[-1].document.passing_percent if data.sievings else None
     columns = (
@@ -53,7 +53,19 @@ def gradation(data: ReportData, say: Words) -> Section:
         for step in steps
     ]
     table = Table(columns, rows, [step.decision.verdict if step.decision else None for step in steps])
-    quantiles = Table(
+    return Section(
+        say("curve.title"),
+        (
+            Picture(gradation_curve(figures.curve, say, laboratory_passing)),
+            table,
+            Note(say("curve.note")),
+        ),
+    )
+
+
+def _quantiles(figures: LotFigures, say: Words) -> Table:
+    """Return the sizes that a share of the mass passes."""
+    return Table(
         (
             Column(say("quantiles.size"), is_number=False, width=0.7),
             Column(say("quantiles.interpolated")),
@@ -72,16 +84,6 @@ def gradation(data: ReportData, say: Words) -> Section:
             )
             for quantile in figures.quantiles
         ],
-    )
-    return Section(
-        say("curve.title"),
-        (
-            Picture(gradation_curve(figures.curve, say, laboratory_passing)),
-            table,
-            Note(say("curve.note")),
-            quantiles,
-            Note(say("quantiles.note")),
-        ),
     )
 
 
@@ -105,11 +107,11 @@ def indices(data: ReportData, say: Words) -> Section:
     found, listed = data.figures.indices, judged_indices(data.figures, say)
     table = Table(
         (
-            Column(say("indices.index"), is_number=False, width=3.8),
-            Column(say("indices.value"), width=1.3),
+            Column(say("indices.index"), is_number=False, width=4.6),
+            Column(say("indices.value"), width=1.5),
             Column(say("curve.interval"), width=1.4),
-            Column(say("curve.limits")),
-            Column(say("curve.verdict"), is_number=False, width=1.5),
+            Column(say("curve.limits"), width=1.1),
+            Column(say("curve.verdict"), is_number=False, width=1.4),
         ),
         [
             (
@@ -123,7 +125,17 @@ def indices(data: ReportData, say: Words) -> Section:
         ],
         [decision.verdict if decision else None for *_, decision in listed],
     )
-    forms = Table(
+    sizes = (_quantiles(data.figures, say), Note(say("quantiles.note")))
+    if not found.flat_and_elongated:
+        return Section(say("indices.title"), (table, *sizes))
+    by_mass, by_number = (_forms(found, by, say) for by in ("mass", "number"))
+    on_screen = (by_number, *_size_fractions(found, say))
+    return Section(say("indices.title"), (table, Note(say("d4791.note")), by_mass, *sizes), on_screen)
+
+
+def _forms(found: ShapeIndices, by: str, say: Words) -> Table:
+    """Return the shares of ASTM D4791 by mass or by number."""
+    return Table(
         (
             Column(say("d4791.ratio"), is_number=False, width=0.85),
             Column(say("d4791.counted"), is_number=False, width=0.9),
@@ -140,11 +152,9 @@ def indices(data: ReportData, say: Words) -> Section:
                 with_interval(form.flat_and_elongated_percent.get(by), 1, say),
             )
             for form in found.flat_and_elongated
-            for by in form.flat_percent
+            if by in form.flat_percent
         ],
     )
-    blocks = (table, Note(say("d4791.note")), forms, *_size_fractions(found, say)) if forms.rows else (table,)
-    return Section(say("indices.title"), blocks)
 
 
 def _size_fractions(found: ShapeIndices, say: Words) -> tuple[Block, ...]:
@@ -213,6 +223,10 @@ def laboratory(sieving: StoredSieving, data: ReportData, say: Words) -> Section:
     ]
     by = abridged(sieving.document.by or DASH, LONGEST_HEADING)
     about = say("laboratory.about", id=sieving.sieving, at=say.time(sieving.at), by=by)
+    if sieving.document.sample_id:
+        about += say("laboratory.sample", sample=abridged(sieving.document.sample_id, LONGEST_HEADING))
+    remark = sieving.document.remark
+    remarks = (Note(say("laboratory.remark", remark=abridged(remark))),) if remark else ()
     rests_on = say("laboratory.study", study=study) if study else say("laboratory.no_study")
     table = Table([Column(say(title)) for title in titles], rows)
-    return Section(say("laboratory.title"), (Note(about), table, Note(rests_on)))
+    return Section(say("laboratory.title"), (Note(about + "."), *remarks, table, Note(rests_on)))

@@ -7,7 +7,7 @@ import tomllib
 import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, tzinfo
 from functools import cache
 from math import isfinite
 from pathlib import Path
@@ -24,10 +24,12 @@ BIDI_CONTROLS = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u206
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Words:
-    """All texts of one language by key (`section.name`), and how it writes numbers."""
+    """All texts of one language by key (`section.name`), and how it writes numbers and times."""
 
     language: Language
     texts: Mapping[str, str]
+    zone: tzinfo | None = UTC
+    """Zone of times, beside which stands UTC; None: the host's."""
 
     def __call__(self, key: str, /, **values: object) -> str:
         """Return a text, with values in its places."""
@@ -62,24 +64,28 @@ class Words:
         return f"{self.number(figure.low, decimals)} – {self.number(figure.high, decimals)}"
 
     def time(self, utc: str) -> str:
-        """Return a time as the language writes it, in UTC; a text that is no time as it is."""
+        """Return a time in its zone, with UTC beside it if that is another; a text that is no time as it is."""
         try:
             moment = datetime.fromisoformat(utc)
-        except ValueError:
+            moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+            local = moment.astimezone(self.zone)
+        except (ValueError, OverflowError):
             return utc
-        if moment.tzinfo is not None:
-            moment = moment.astimezone(UTC)
-        return moment.strftime(self("number.time_format"))
+        text = f"{local:{self('number.date_format')} %H:%M:%S %Z}"
+        if not local.utcoffset():
+            return text
+        day = "" if local.date() == moment.date() else self("number.date_format") + " "
+        return f"{text} ({moment:{day}%H:%M} UTC)"
 
 
 @cache
-def words(language: Language) -> Words:
-    """Return the words of a language."""
+def words(language: Language, zone: tzinfo | None = UTC) -> Words:
+    """Return the words of a language, with times of a zone; None: the host's."""
     document = tomllib.loads((FOLDER / f"{language}.toml").read_text(encoding="utf-8"))
     texts = {
         f"{section}.{name}": text for section, entries in document.items() for name, text in entries.items()
     }
-    return Words(language=language, texts={**texts, **figure_names(language)})
+    return Words(language=language, texts={**texts, **figure_names(language)}, zone=zone)
 
 
 def plain(text: str) -> str:

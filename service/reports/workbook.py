@@ -12,11 +12,11 @@ from pipeline.gradation.d4791 import FlatAndElongated
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.specification import Decision
 from service.lots.figures import shares_of
-from service.reports.content import accounted, calibration, document_of, uncertainty, versions
+from service.reports.content import accounted, calibration, document_of, uncertainty
 from service.reports.csv_file import accounting_rows
 from service.reports.document import NamesAndValues, Note
 from service.reports.report import ReportData, Scalar
-from service.reports.results import judged_indices
+from service.reports.results import judged_indices, laboratory
 from service.reports.words import Words, plain, words
 
 OPTIONS = {
@@ -29,7 +29,7 @@ OPTIONS = {
 
 def render_xlsx(data: ReportData) -> bytes:
     """Return the report as a workbook."""
-    file, say = BytesIO(), words(data.language)
+    file, say = BytesIO(), words(data.language, data.plant.zone)
     with Workbook(file, OPTIONS) as workbook:
         sheets = _Sheets(workbook)
         created_at = datetime.fromisoformat(data.created_at).replace(tzinfo=None)
@@ -199,8 +199,10 @@ def _about(sheets: _Sheets, data: ReportData, say: Words) -> None:
     for banner in (*document.banners, document.verdict_title):
         sheet.write_string(row, 0, banner, sheets.warning)
         row += 1
-    row = sheets.write(sheet, row, [("", line) for line in document.verdict_lines])
-    sections = (document.sections[0], calibration(data, say), uncertainty(data, say), versions(data, say))
+    lines = (*document.verdict_lines, *document.letterhead.lines, document.footer)
+    row = sheets.write(sheet, row, [("", line) for line in lines])
+    sievings = (laboratory(each, data, say) for each in data.sievings)
+    sections = (document.sections[0], *sievings, calibration(data, say), uncertainty(data, say))
     for section in sections:
         row += 1
         sheet.write_string(row, 0, section.title, sheets.bold)

@@ -22,6 +22,7 @@ from service.lots.figures import (
 )
 from service.lots.laboratory import Sieving, StoredSieving
 from service.lots.lots import LotDocument, LotState
+from service.reports.plant import PlantSettings
 from service.reports.report import (
     GalleryReason,
     GalleryStone,
@@ -262,7 +263,9 @@ def gallery() -> Sequence[GalleryStone]:
 
 def sieving() -> StoredSieving:
     retained_g = {4.0: 9.2, 8.0: 24.1, 10.0: 26.3, 12.5: 17.8, 14.0: 13.3, 16.0: 6.5, 22.4: 0.0}
-    document = Sieving(retained_g=retained_g, pan_g=2.8, by="Labor Süd")
+    document = Sieving(
+        retained_g=retained_g, pan_g=2.8, by="Labor Süd", sample_id="S-0815/2", remark="dried at 110 °C"
+    )
     return StoredSieving(sieving=221, at="2026-11-20T11:30:00Z", document=document)
 
 
@@ -282,5 +285,6 @@ def report_data(figures: Mapping[str, Any] | None = None, **changes: Any) -> Rep
         ),
         gallery=gallery(),
         sievings=(sieving(),),
+        plant=PlantSettings(time_zone="UTC"),
     )
     return replace(data, **changes)

@@ -50,6 +50,7 @@ from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
 from service.reports.lot_reports import RigStanding
+from service.reports.plant import PlantSettings
 from service.store import Store
 from service.store.checks import RetentionFacts
 from service.web.key_ring import KeyRing
@@ -102,6 +103,7 @@ class FakeControl:
     alarms: Alarms | None = None
     webhooks: Webhooks | None = None
     remeasuring: Remeasuring | None = None
+    plant: PlantSettings = field(default_factory=PlantSettings)
     shown: list[tuple[CameraId, float]] = field(default_factory=list)
 
     def acquisition_status(self) -> AcquisitionStatus:
@@ -138,7 +140,7 @@ class FakeControl:
 
     def rig_standing(self) -> RigStanding:
         assert self.calibrations is not None
-        return rig_standing(self.calibrations)
+        return rig_standing(self.calibrations, self.plant)
 
     def facts(self) -> Facts:
         assert self.calibrations is not None

@@ -99,7 +99,11 @@ def test_csv_leaves_what_was_not_measured_empty() -> None:
 def test_a_text_is_never_a_formula_and_a_negative_number_stays_one(text: str) -> None:
     assert csv_text([[-1.5]]) == "-1.5\r\n"
     data = report_data({"lot": lot_document(lot=text, remark=text, sublot=text)})
-    values = {row["value"] for row in table(data) if row["name"] in ("lot", "remark")}
+    values = {
+        row["value"]
+        for row in table(data)
+        if (row["section"], row["name"]) in (("lot", "lot"), ("lot", "remark"))
+    }
     assert {value[0] for value in values} == {"'"}
     assert any(text.strip() in str(row) for row in sheets(data)["About"])  # without a formula
 
@@ -107,7 +111,7 @@ def test_a_text_is_never_a_formula_and_a_negative_number_stays_one(text: str) ->
 def test_long_and_strange_texts_are_whole_in_csv_and_do_no_harm_in_a_workbook() -> None:
     text = 'W"a,b;c\n' + "x" * 40_000 + "\x00\ud800🪨"
     data = report_data({"lot": lot_document(remark=text)})
-    (found,) = [row["value"] for row in table(data) if row["name"] == "remark"]
+    (found,) = [row["value"] for row in table(data) if (row["section"], row["name"]) == ("lot", "remark")]
     assert found == 'W"a,b;c ' + "x" * 40_000 + "🪨"
     (printed,) = [row[1] for row in sheets(data)["About"] if row[:1] == ["Remark"]]
     assert printed == found[:399] + "…"

@@ -24,6 +24,7 @@ from service.lots.lots import LotState
 from service.lots.trends.changes import ChangedFigure
 from service.lots.trends.diary import DiaryKind
 from service.reports.content import lot_section
+from service.reports.plant import PlantSettings
 from service.reports.report import GalleryReason, VerificationOutcome
 from service.reports.trend import TrendFigure
 from service.reports.words import words
@@ -53,6 +54,7 @@ FAMILIES = {
     "changed": list(ChangedFigure),
     "amount": list(ChangedFigure),
     "trend": list(TrendFigure),
+    "plant": list(PlantSettings().texts),
     "accounting": [
         "unmeasured_expected_percent",
         "unmeasured_at_most_percent",
