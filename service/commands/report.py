@@ -24,6 +24,7 @@ from service.reports.lot_reports import RENDERERS
 from service.reports.report import ReportData, ReportFormat
 from service.reports.signatures import (
     MAX_KEY_BYTES,
+    MAX_REPORT_BYTES,
     SignatureState,
     checked,
     fingerprint_of,
@@ -31,8 +32,6 @@ from service.reports.signatures import (
     known_fingerprints,
 )
 from service.web.version import API_VERSION
-
-MAX_REPORT_BYTES = 50_000_000
 
 
 @dataclass(frozen=True, slots=True)

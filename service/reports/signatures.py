@@ -36,6 +36,7 @@ KEY_FILE, MAX_KEY_BYTES = "instrument-key.pem", 10_000
 """Private key of the instrument, beside the database; no backup has it."""
 KEY_USED = "reports signed by a new key"
 """Action of the entries of the audit that keep the public keys of all reports."""
+MAX_REPORT_BYTES = 10_000_000
 MARK = b"\n%stonefall-signature "
 LINE = re.compile(rb"(\{[^\r\n]*\}) ([0-9a-f]{128})\n")
 PDF = b"%PDF-"

@@ -6,10 +6,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service.web.problems import Problem, problem_response
 
 MOST_PARTS = 5000
-"""Most quotes, brackets and braces of a body: it is parsed and checked on the event loop, field by field.
-
-A PDF is not.
-"""
+"""Most quotes, brackets and braces of a body: it is parsed and checked on the event loop, field by field."""
 
 
 def with_body_limit(app: ASGIApp, max_body_bytes: int) -> ASGIApp:
@@ -23,7 +20,6 @@ def with_body_limit(app: ASGIApp, max_body_bytes: int) -> ASGIApp:
             problem = Problem(413, "content-too-large", too_large)
             await problem_response(request, problem)(scope, receive, send)
             return
-        is_parsed = request.headers.get("content-type") != "application/pdf"
         n_bytes = n_parts = 0
 
         async def counted() -> Message:
@@ -33,7 +29,7 @@ def with_body_limit(app: ASGIApp, max_body_bytes: int) -> ASGIApp:
             n_bytes += len(piece)
             if n_bytes > max_body_bytes:
                 raise Problem(413, "content-too-large", too_large)
-            n_parts += sum(map(piece.count, (b'"', b"[", b"{"))) if is_parsed else 0
+            n_parts += sum(map(piece.count, (b'"', b"[", b"{")))
             if n_parts > MOST_PARTS:
                 detail = f"a request body may have at most {MOST_PARTS} quotes, brackets and braces"
                 raise Problem(422, "invalid-request", detail)

@@ -154,10 +154,8 @@ def test_each_operation_names_its_scope() -> None:
     scopes = {(method, path): it["security"] for path, method, it in operations() if "security" in it}
     for (method, path), (required,) in scopes.items():
         (scope,) = required["key"]
-        assert scope in ({"read", "configure"} if method == "get" else {"operate", "configure"}), (
-            method,
-            path,
-        )
+        reads = method == "get" or path == "/api/v1/reports/verify"  # a file is too large for an address
+        assert scope in ({"read", "configure"} if reads else {"operate", "configure"}), (method, path)
     assert scopes["post", "/api/v1/lots"] == [{"key": ["operate"]}]
     assert scopes["get", "/api/v1/config"] == [{"key": ["configure"]}]
 

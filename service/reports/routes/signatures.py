@@ -3,15 +3,30 @@
 import asyncio
 from typing import Annotated
 
-from fastapi import APIRouter, Body
+from fastapi import APIRouter
+from pydantic import Base64Bytes, Field
 
-from service.reports.signatures import KeyDocument, ReportCheck, checked, key_document, known_fingerprints
+from service.base.schema import request_body
+from service.reports.signatures import (
+    MAX_REPORT_BYTES,
+    KeyDocument,
+    ReportCheck,
+    checked,
+    key_document,
+    known_fingerprints,
+)
 from service.web.auth import READABLE
 from service.web.context import Context
 
 router = APIRouter(tags=["lots"], dependencies=READABLE)
 
-PDF = "application/pdf"
+
+@request_body
+class SignedFile:
+    """A report as it was received."""
+
+    pdf: Annotated[Base64Bytes, Field(min_length=1, max_length=MAX_REPORT_BYTES, repr=False)]
+    """All bytes of the file, in base64."""
 
 
 @router.get("/instrument/key", response_model=KeyDocument)
@@ -21,10 +36,7 @@ async def instrument_key(context: Context) -> KeyDocument:
 
 
 @router.post("/reports/verify", response_model=ReportCheck)
-async def verify_report(
-    context: Context,
-    content: Annotated[bytes, Body(media_type=PDF, description="The PDF as it was received")],
-) -> ReportCheck:
+async def verify_report(context: Context, file: SignedFile) -> ReportCheck:
     """Check a signed report: whether a byte was changed, and whether this instrument signed it."""
     known = await asyncio.to_thread(known_fingerprints, context.store.dir)
-    return await asyncio.to_thread(checked, content, known)
+    return await asyncio.to_thread(checked, file.pdf, known)

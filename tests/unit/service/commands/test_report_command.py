@@ -1,14 +1,18 @@
 """`stonefall report`: offline results as a report."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
+from support.lot_figures import report_data
 from typer.testing import CliRunner, Result
 
 from service.base.errors import ServiceError, UsageError
 from service.commands.cli import build_app
+from service.reports.printed import render_pdf
+from service.reports.signatures import instrument_key, signed
 from service.results.fields import EMPTY, RUSH
 
 STONE = {
@@ -72,3 +76,44 @@ def test_damaged_results_are_named_by_their_line(tmp_path: Path, line: str) -> N
     done = report(folder, "--out", tmp_path / "report")
     assert isinstance(done.exception, ServiceError)
     assert "line 2" in str(done.exception)
+
+
+def test_a_signed_report_is_checked_without_a_daemon(tmp_path: Path) -> None:
+    key = instrument_key(tmp_path)
+    said = {"instrument": "SF-1", "lot": "L1", "revision": 1, "signed_at": "2026-11-20T07:00:03Z"}
+    file = tmp_path / "L1-1.pdf"
+    file.write_bytes(signed(render_pdf(report_data()), key, **said))
+    answer = tmp_path / "key.json"
+    answer.write_text(json.dumps({"public_key": key.public_key, "fingerprint": key.fingerprint}))
+    for known in (key.fingerprint, key.fingerprint.replace("-", " ").upper(), key.public_key, answer):
+        done = report("--verify", file, "--key", known)
+        assert done.exit_code == 0, done.output
+        assert (
+            "genuine: report of lot L1, revision 1, 2026-11-20T07:00:03Z, signed by instrument SF-1"
+            in done.output
+        )
+        assert key.fingerprint in done.output
+
+
+def test_what_is_wrong_with_a_signed_report_is_named(tmp_path: Path) -> None:
+    key = instrument_key(tmp_path)
+    said = {"instrument": None, "lot": "L1", "revision": 1, "signed_at": "2026-11-20T07:00:03Z"}
+    pdf = render_pdf(report_data())
+    good = signed(pdf, key, **said)
+    other = "-".join(["0000"] * 8)
+    for content, words, error, named in (
+        (good, (), ServiceError, f"intact.*signed as an instrument with key {key.fingerprint}: compare it"),
+        (good, ("--key", other), ServiceError, f"signed by another key, {key.fingerprint}, not by {other}"),
+        (good[:-1], ("--key", key.fingerprint), ServiceError, "was changed after it was signed"),
+        (good.replace(b"endobj", b"endobk", 1), ("--key", key.fingerprint), ServiceError, "was changed"),
+        (pdf, ("--key", key.fingerprint), ServiceError, "carries no signature"),
+        (b"", ("--key", key.fingerprint), ServiceError, "is no PDF"),
+        (good, ("--key", "3f1c"), UsageError, "--key 3f1c"),
+    ):
+        file = tmp_path / "report.pdf"
+        file.write_bytes(content)
+        done = report("--verify", file, *words)
+        assert (done.exit_code, type(done.exception)) == (1, error)
+        assert re.search(named, str(done.exception)), done.exception
+    assert "No such file" in str(report("--verify", tmp_path / "none.pdf").exception)
+    assert isinstance(report().exception, UsageError)

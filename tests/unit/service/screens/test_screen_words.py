@@ -18,6 +18,7 @@ from service.health.alarms.alarm import ANNOUNCED
 from service.health.alarms.rules import Priority
 from service.lots.stone_changes import FORM_FACTORS
 from service.recording.live_recording import EndedBy, RecordingState
+from service.reports.signatures import SignatureState
 from service.results.fields import MEASURED_FIELDS, LossReason, Outcome, Verified
 from service.web.routes.screens import installed_screens
 
@@ -96,6 +97,7 @@ def test_all_measures_of_the_form_have_names_and_all_names_are_of_measures() -> 
         ("setup.verification-state-", list(VerificationState)),
         ("setup.recording-state-", list(RecordingState)),
         ("setup.recording-ended-", list(EndedBy)),
+        ("verify.state-", list(SignatureState)),
     ],
 )
 def test_every_value_that_is_told_has_words(prefix: str, values: list[str]) -> None:
