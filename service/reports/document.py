@@ -10,7 +10,7 @@ from service.reports.words import Words
 
 DASH = "–"
 """Stands where there is nothing to say."""
-MANY_FACTS = 9
+MANY_FACTS = 6
 LONGEST_IN_HALF_A_LINE = 36
 """Characters of a value."""
 

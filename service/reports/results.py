@@ -107,11 +107,11 @@ def indices(data: ReportData, say: Words) -> Section:
     found, listed = data.figures.indices, judged_indices(data.figures, say)
     table = Table(
         (
-            Column(say("indices.index"), is_number=False, width=4.6),
-            Column(say("indices.value"), width=1.5),
-            Column(say("curve.interval"), width=1.4),
+            Column(say("indices.index"), is_number=False, width=4.75),
+            Column(say("indices.value"), width=1.45),
+            Column(say("curve.interval"), width=1.35),
             Column(say("curve.limits"), width=1.1),
-            Column(say("curve.verdict"), is_number=False, width=1.4),
+            Column(say("curve.verdict"), is_number=False, width=1.65),
         ),
         [
             (

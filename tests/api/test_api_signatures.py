@@ -10,9 +10,10 @@ import pytest
 from support.eventually import PATIENCE_S
 from support.lots import opened, put_product, stone
 from support.outcomes import add
-from support.rest import assert_problem
+from support.rest import FakeControl, assert_problem
 
 from service.base.language import Language
+from service.calibration.verification_limits import VerificationParameters
 from service.daemon.lot_files import issued_reports, lot_files
 from service.delivery.file_drop import LotFiles
 from service.delivery.settings import FileDropSettings
@@ -111,3 +112,16 @@ async def test_a_damaged_key_is_named(client: httpx.AsyncClient, store: Store) -
     (store.dir / KEY_FILE).write_text("no key")
     answer = await client.get("/instrument/key")
     assert answer.status_code == 503, answer.text
+
+
+async def test_a_verification_is_overdue_only_where_one_is_asked_for(
+    client: httpx.AsyncClient, control: FakeControl
+) -> None:
+    await put_product(client)
+    await opened(client)
+    assert control.calibrations is not None
+    said = []
+    for every_h in (0.0, 24.0):
+        control.calibrations.verifications.use(VerificationParameters(every_h=every_h))
+        said.append("The verification is overdue" in (await client.get("/lots/L1/report.html")).text)
+    assert said == [False, True]

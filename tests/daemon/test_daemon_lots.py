@@ -5,9 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pypdf import PdfReader
 from support.daemon_process import DaemonProcess
 from support.eventually import eventually
 from support.small_recording import write_small_recording
+from support.warm_stonefall import run_stonefall
 from typer.testing import CliRunner, Result
 
 from service.commands.cli import build_app
@@ -95,4 +97,28 @@ def test_a_close_under_load_answers_with_the_figures_that_stay(tmp_path: Path, n
         assert told == [final["completion"] for _, final in closed]
         if n_lots > 10:  # else chance may have it that none was being measured
             assert sum(at_once["in_progress"] for at_once, _ in closed) > 0
+        assert daemon.stop() == 0
+
+
+@pytest.mark.full
+def test_an_issued_report_is_signed_by_a_key_that_outlives_the_daemon(tmp_path: Path) -> None:
+    write_small_recording(tmp_path / "recording", n_stones=N_STONES)
+    rig = 'pace = "fast"\n[plant]\nplant = "Quarry North"\ninstrument_serial = "SF-1"\ntime_zone = "Europe/Berlin"'
+    with DaemonProcess(tmp_path, tmp_path / "recording", rig=rig) as daemon:
+        daemon.hear("READY=1")
+        daemon.put("/products/basalt", {"title": "basalt", "density_kg_m3": 2700})
+        daemon.post("/lots", {"lot": "L1", "product": "basalt"})
+        assert daemon.post("/lots/L1/close?wait_s=300", {})["state"] == "closed"
+        key = daemon.get("/instrument/key")
+        assert daemon.stop() == 0
+    file = tmp_path / "state/issued/L1-1.pdf"
+    text = " ".join(page.extract_text() for page in PdfReader(file).pages)
+    assert "Quarry North" in text
+    assert key["fingerprint"] in text
+    said = f"signed by instrument SF-1 with key {key['fingerprint']}"
+    for words in (("--config", daemon.config_path), ("--key", key["public_key"])):
+        assert said in run_stonefall("report", "--verify", file, *words, check=True).stdout
+    with DaemonProcess(tmp_path, tmp_path / "recording", rig=rig) as daemon:
+        daemon.hear("READY=1")
+        assert daemon.get("/instrument/key") == key
         assert daemon.stop() == 0

@@ -555,3 +555,20 @@ def test_a_credential_is_read_where_the_service_manager_puts_it(
     assert webhook.secret_files == (folder / "mes.secret",)
     told = [each for each in shortcomings(settings) if "mes" in each]
     assert told == [] if is_of_the_unit else f"{folder / 'mes.secret'}: No such file" in told[0]
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [(None, "No such file"), (b"x" * 500_001, "has more than"), (b"x", "is no PNG or SVG")],
+)
+def test_a_logo_that_is_none_is_named_at_the_start(
+    tmp_path: Path, content: bytes | None, reason: str
+) -> None:
+    file = tmp_path / "stonefall.toml"
+    file.write_text(MINIMAL + '[plant]\nlogo = "logo.svg"')
+    if content is not None:
+        (tmp_path / "logo.svg").write_bytes(content)
+    found = [each for each in problems(load_settings(file)) if each.startswith("plant")]
+    assert len(found) == 1
+    assert found[0].startswith(f"plant.logo: {tmp_path / 'logo.svg'}: ")
+    assert reason in found[0]

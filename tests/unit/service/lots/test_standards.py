@@ -20,8 +20,10 @@ def test_all_tables_are_there_and_name_their_source() -> None:
     assert found.flakiness["FI15"].max_percent == found.shape["SI15"].max_percent == 15
     assert found.flakiness_fractions["en-933-3"] == EN_933_3
     assert found.least_portions["en-933-1"].least_kg(16.0) == pytest.approx(2.6)
-    for table in (*found.sieve_sets.values(), *found.categories.values(), *found.sizes.values()):
-        assert "general" in table.source or "found" in table.source or table.name == "stonefall"
+    for sieves in found.sieve_sets.values():
+        assert "general" in sieves.source or "found" in sieves.source or sieves.name == "stonefall"
+    assert all(category.is_general for category in found.categories.values())
+    assert [name for name, size in found.sizes.items() if not size.is_general] == ["astm-57"]
 
 
 @pytest.mark.parametrize("name", [*read_standards().categories, *read_standards().sizes])

@@ -183,7 +183,19 @@ def test_the_pdf_says_the_same_on_numbered_pages() -> None:
 
 
 @pytest.mark.parametrize("language", Language)
-@pytest.mark.parametrize("figures", [{}, {"is_simulated": True, "specification_is_general": True}])
+@pytest.mark.parametrize(
+    "figures",
+    [
+        {},
+        {
+            "is_simulated": True,
+            "is_replay": True,
+            "specification_is_general": True,
+            "lot": lot_document(remark=None, external_id=None),
+            "curve": [*curve(), *(step(size_mm, NOT_MEASURED) for size_mm in (40.0, 63.0, 80.0))],
+        },
+    ],
+)
 def test_a_plain_lot_is_two_pages_with_the_curve_on_the_first(
     language: Language, figures: dict[str, object]
 ) -> None:
