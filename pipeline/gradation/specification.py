@@ -260,7 +260,7 @@ def specification_of(
         source=category.source,
         is_general=category.is_general,
         passing={
-            _nearest(limit.factor * (upper_mm if limit.is_upper else lower_mm), sieves_mm): limit.limits
+            nearest_mm(limit.factor * (upper_mm if limit.is_upper else lower_mm), sieves_mm): limit.limits
             for limit in category.passing
         },
         flakiness=flakiness,
@@ -268,5 +268,6 @@ def specification_of(
     )
 
 
-def _nearest(size_mm: float, apertures_mm: tuple[float, ...]) -> float:
+def nearest_mm(size_mm: float, apertures_mm: Iterable[float]) -> float:
+    """Return the sieve nearest to a size, by their ratio."""
     return min(apertures_mm, key=lambda aperture_mm: abs(log(aperture_mm / size_mm)))

@@ -7,7 +7,14 @@ from fastapi import APIRouter, Depends, Path, Query, Response
 from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 
-from pipeline.gradation.control_chart import control_chart
+from pipeline.gradation.control_chart import (
+    NELSON_RUN,
+    SIGMAS,
+    WESTERN_ELECTRIC,
+    RuleName,
+    baseline_of,
+    control_chart,
+)
 from service.base.schema import TIME, Name, RequestBody
 from service.base.status import AcquisitionStatus
 from service.calibration.calibrations import Calibrations
@@ -223,6 +230,10 @@ async def start_verification(
     return verification
 
 
+VERIFYING = (WESTERN_ELECTRIC[0], NELSON_RUN)
+"""Rules of the chart of verifications."""
+
+
 @verifying.get("/chart", response_model=ChartDocument, dependencies=READABLE)
 async def verification_chart(
     context: Context,
@@ -231,20 +242,24 @@ async def verification_chart(
     """Get the control chart of the verifications with a ball: centre, limits, and which are out of control."""
     series = context.part(Calibrations).verifications.series(diameter_mm)
     points = [(each, summary) for each in series if (summary := each.summary) is not None]
-    found = control_chart([summary.error_mm for _, summary in points], centre=0.0) if points else None
+    errors_mm = [summary.error_mm for _, summary in points]
+    baseline = baseline_of(errors_mm, centre=0.0)
+    reach_mm = None if baseline is None else SIGMAS * baseline.sd
+    found = () if baseline is None else control_chart(errors_mm, baseline, rules=VERIFYING).violations
+    broken = {(each.place, each.rule) for each in found}
     return {
         "diameter_mm": diameter_mm,
         "centre_mm": 0.0,
-        "lower_mm": found and found.lower,
-        "upper_mm": found and found.upper,
+        "lower_mm": None if reach_mm is None else -reach_mm,
+        "upper_mm": reach_mm,
         "points": [
             {
                 "verification": each.id,
                 "at": each.changed_at,
                 "state": each.state,
                 "error_mm": summary.error_mm,
-                "is_beyond_limits": found is not None and number in found.beyond_limits,
-                "is_shifted": found is not None and number in found.shifted,
+                "is_beyond_limits": (number, RuleName.BEYOND_LIMITS) in broken,
+                "is_shifted": (number, RuleName.RUN) in broken,
             }
             for number, (each, summary) in enumerate(points)
         ],

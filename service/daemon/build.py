@@ -16,6 +16,7 @@ from service.daemon.alarming import acquisition_changed, verification_ended
 from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import LoopWatch
 from service.daemon.lot_files import issued_reports
+from service.daemon.overview.overviews import KeptFigures
 from service.daemon.overview.result_delays import ResultDelays
 from service.daemon.parts import parts_of
 from service.daemon.reloading import Configuration
@@ -109,6 +110,7 @@ async def build(configured: Configuration, store: Store, reading: Reading, reque
         pool=pool,
         processing=processing,
         delays=delays,
+        figures=KeptFigures(store, reading),
         remeasuring=Remeasuring(again, worker_context, new_pool(worker_context)),
         retaining=retaining,
         alarms=await open_alarms(store, session.events),

@@ -3,6 +3,7 @@
 import hashlib
 import logging
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from sqlite3 import Connection
@@ -11,15 +12,18 @@ from drivers.files.times import utc_now
 from service.base.errors import ServiceError, StoreError, WorkerFailure
 from service.delivery.file_drop import FileDrop, LotFiles, MakeFiles, Purpose
 from service.delivery.settings import DropFormat, FileDropSettings
-from service.lots.lots import complete_lot, uncompleted_lots
+from service.lots.lots import complete_lot, existing_lot, uncompleted_lots
 from service.lots.outcome import LotCompletion, LotOutcome
+from service.lots.products import find_product
 from service.lots.shifts import LotsSettings
+from service.lots.trends.control import followed_figures, product_drift
 from service.lots.yardsticks import Request
 from service.processing.worker_process import worker_boundary
 from service.reports.lot_reports import ISSUED, RENDERERS, ReportRequest, RigStanding, report_data
 from service.reports.report import ReportFormat
 from service.reports.signatures import instrument_key, note_key, signed
 from service.store import Store
+from service.store.events import EventType, NewEvent, note_event
 from service.store.schema import connect_reader
 from service.web.control import Control
 from service.web.reader_process import Reading
@@ -67,17 +71,24 @@ def lot_files(
                 else RENDERERS[ReportFormat(each)](data)
                 for each in formats
             }
+            record = data.figures.lot
             if key is not None:
                 content[DropFormat.PDF] = signed(
                     content[DropFormat.PDF],
                     key,
                     instrument=wanted.rig.plant.instrument_serial,
                     lot=lot,
-                    revision=data.figures.lot.revision,
+                    revision=record.revision,
                     signed_at=data.created_at,
                 )
-            outcome = {name: getattr(data.figures, name) for name in LotOutcome.model_fields}
-            return LotFiles(revision=data.figures.lot.revision, content=content, outcome=outcome)
+            product = find_product(connection, record.product, record.product_version)
+            figures = {} if product is None else followed_figures(data.figures, product)
+            return LotFiles(
+                revision=record.revision,
+                content=content,
+                outcome={name: getattr(data.figures, name) for name in LotOutcome.model_fields},
+                figures={name: asdict(figure) for name, figure in figures.items()},
+            )
     except WorkerFailure as failure:
         raise FilesFailedError(str(failure).strip().rpartition("\n")[2]) from None
 
@@ -103,7 +114,10 @@ def issued_reports(store: Store) -> FileDrop:
 
 
 def note_issued(state_dir: Path, connection: Connection, lot: str, files: LotFiles) -> None:
-    """Complete a revision of a lot within a transaction: its report is durable, and the key that signed it is noted."""
+    """Complete a revision of a lot within a transaction: its report is durable. Its product may drift with it.
+
+    The key that signed the report is noted.
+    """
     note_key(connection, instrument_key(state_dir).public_key)
     completion = LotCompletion(
         **files.outcome,
@@ -112,4 +126,10 @@ def note_issued(state_dir: Path, connection: Connection, lot: str, files: LotFil
         report=f"{BASE}/lots/{lot}/report.pdf?revision={files.revision}",
         report_sha256=hashlib.sha256(files.content[DropFormat.PDF]).hexdigest(),
     )
-    complete_lot(connection, lot, completion)
+    product = existing_lot(connection, lot).product
+    was_drifting = product_drift(connection, product) is not None
+    complete_lot(connection, lot, completion, files.figures)
+    drift = product_drift(connection, product)
+    if drift is not None and not was_drifting:
+        event = EventType.PRODUCT_DRIFTING
+        note_event(connection, NewEvent(type=event, subject=product, data=drift.model_dump()))

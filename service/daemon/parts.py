@@ -11,6 +11,7 @@ from service.daemon.alarming import Alarming
 from service.daemon.backing_up import BackingUp
 from service.daemon.lot_files import files_maker
 from service.daemon.part import Part, Running
+from service.daemon.product_watch import ProductWatch
 from service.daemon.running_daemon import Daemon
 from service.daemon.session import lose_all_crashed
 from service.daemon.stopping import StopRequests
@@ -46,6 +47,7 @@ def parts_of(
     processing, acquisition = daemon.processing, daemon.acquisition
     alarming = Alarming(daemon.alarms, session.events)
     backing_up = BackingUp(store, session.settings.store)
+    watch = ProductWatch(store, daemon)
     make_files = files_maker(store, daemon, reading)
     return [
         Part(run=watches.loop.run, checks=watches.loop.checks),
@@ -55,6 +57,7 @@ def parts_of(
         Part(run=retaining.run, checks=retaining.checks, use=lambda new: retaining.use(new.store.retention)),
         Part(run=daemon.webhooks.run, checks=daemon.webhooks.checks),
         *(Part(run=partial(each.run, make_files), checks=each.checks) for each in drops),
+        Part(run=watch.run, checks=watch.checks),
         Part(
             run=partial(lose_all_crashed, store, session.left),
             checks=lambda: store_checks(store, daemon.spool.n_waiting),

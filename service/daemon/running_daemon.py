@@ -14,6 +14,7 @@ from service.daemon.diagnostics.archive import Inputs
 from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
 from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import LoopWatch
+from service.daemon.overview.overviews import KeptFigures
 from service.daemon.overview.result_delays import ResultDelays
 from service.daemon.part import Part
 from service.daemon.reloading import Configuration
@@ -77,6 +78,7 @@ class Daemon:
     alarms: Alarms
     webhooks: Webhooks
     delays: ResultDelays
+    figures: KeptFigures
     parts: list[Part] = field(default_factory=list)
     """In the order in which they start."""
 

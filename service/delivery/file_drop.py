@@ -40,6 +40,8 @@ class LotFiles:
     content: Mapping[DropFormat, bytes]
     outcome: Mapping[str, Any]
     """Verdict and counts of the lot, for what is noted of them."""
+    figures: Mapping[str, Any]
+    """Figures that control charts follow, as JSON has them."""
 
 
 MakeFiles = Callable[[str, FileDropSettings], Awaitable[LotFiles | None]]

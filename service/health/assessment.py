@@ -36,8 +36,9 @@ def assess(
     passing = {name for name, check in checks.items() if check.status is CheckStatus.PASS}
     failing = {name for name, check in checks.items() if check.status is CheckStatus.FAIL}
     cameras = {name for name in checks if name.startswith(f"{CAMERA}:")}
-    # what all cameras have in common explains each of them
-    explained = passing if "cameras" in passing else passing | cameras
+    # what all cameras have in common explains each of them; a bad product is no matter of the device
+    explained = passing | {name for name, word in rules.ne107.items() if word is Ne107.GOOD}
+    explained |= set() if "cameras" in passing else cameras
     told = sorted(
         (name for name in checks if name not in explained), key=lambda name: _rank(name, checks[name])
     )

@@ -16,11 +16,12 @@ from pydantic import BaseModel, Field
 
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
+from pipeline.gradation.specification import Verdict
 from service.base.errors import ProblemError, ProblemKind
 from service.base.ids import NEW_ID
 from service.base.schema import GivenTime, Name, OptionalTime, Remark, Time, request_body
 from service.base.status import Report
-from service.lots.outcome import LotCompletion
+from service.lots.outcome import LotCompletion, ReachedVerdict
 from service.lots.products import find_product
 from service.store import audit
 from service.store.events import EventType, NewEvent, note_event
@@ -100,6 +101,11 @@ class LotDocument(Report):
     completion: LotCompletion | None = Field(
         default=None,
         description="Verdict and report, once all stones have outcomes: final if of this `revision`; null before",
+    )
+    reached: ReachedVerdict | None = Field(
+        default=None,
+        description="Latest verdict, `conforms` or `does_not_conform`, that its stones allowed while it was open; null:"
+        " none yet",
     )
 
     @property
@@ -213,14 +219,14 @@ def assign(
     audit.note(connection, who, "stones assigned", lot, after=details)
     if n_assigned or n_triggers:  # of which some may have no outcome yet
         _revise_closed(connection, lot)
-        _note_event(connection, EventType.LOT_ASSIGNED, _existing(connection, lot))
-    return _existing(connection, lot), n_assigned
+        _note_event(connection, EventType.LOT_ASSIGNED, existing_lot(connection, lot))
+    return existing_lot(connection, lot), n_assigned
 
 
 def note_revised(connection: sqlite3.Connection, lot: str) -> None:
     """Note within a transaction that a stone of a lot was measured again: a closed lot says something else now."""
     if _revise_closed(connection, lot):
-        _note_event(connection, EventType.LOT_REVISED, _existing(connection, lot))
+        _note_event(connection, EventType.LOT_REVISED, existing_lot(connection, lot))
 
 
 def uncompleted_lots(connection: sqlite3.Connection) -> dict[str, bool]:
@@ -238,15 +244,33 @@ def uncompleted_lots(connection: sqlite3.Connection) -> dict[str, bool]:
     return {each.lot: each.state is LotState.CLOSED and each.lot not in revised for each in found}
 
 
-def complete_lot(connection: sqlite3.Connection, lot: str, completion: LotCompletion) -> None:
-    """Note within a transaction that a revision of a closed lot is final; nothing happens if it has changed since."""
+def complete_lot(
+    connection: sqlite3.Connection, lot: str, completion: LotCompletion, figures: Mapping[str, Any]
+) -> None:
+    """Note within a transaction that a revision of a closed lot is final; nothing happens if it has changed since.
+
+    `figures` are those that control charts follow, as JSON has them.
+    """
     completed = connection.execute(
-        "UPDATE lots SET completed_revision = ?1, completion = ?2"
+        "UPDATE lots SET completed_revision = ?1, completion = ?2, figures = ?4"
         " WHERE lot = ?3 AND state = 'closed' AND revision = ?1",
-        (completion.revision, completion.model_dump_json(), lot),
+        (completion.revision, completion.model_dump_json(), lot, json.dumps(figures)),
     )
     if completed.rowcount:
-        _note_event(connection, EventType.LOT_COMPLETED, _existing(connection, lot))
+        after = existing_lot(connection, lot)
+        _note_event(connection, EventType.LOT_COMPLETED, after)
+        if completion.verdict is Verdict.DOES_NOT_CONFORM:
+            _note_event(connection, EventType.LOT_DOES_NOT_CONFORM, after)
+
+
+def reach_verdict(connection: sqlite3.Connection, lot: str, reached: ReachedVerdict) -> None:
+    """Note within a transaction that an open lot has a verdict; nothing happens if it has this one already."""
+    noted = connection.execute(
+        "UPDATE lots SET reached = ?1 WHERE lot = ?2 AND state = 'open' AND reached ->> 'verdict' IS NOT ?3",
+        (reached.model_dump_json(), lot, reached.verdict),
+    )
+    if noted.rowcount:
+        _note_event(connection, EventType.LOT_VERDICT_REACHED, existing_lot(connection, lot))
 
 
 def _revise_closed(connection: sqlite3.Connection, lot: str) -> bool:
@@ -310,7 +334,7 @@ def _lots(
 ) -> list[LotDocument]:
     rows = connection.execute(
         "SELECT definition, shown_state AS state, product, version AS product_version, opened_at, closed_at,"  # noqa: S608 - of this module
-        " void_reason, revision, completion, in_progress,"
+        " void_reason, revision, completion, reached, in_progress,"
         " (SELECT coalesce(sum(n_stones), 0) FROM stones WHERE stones.lot = shown.lot) AS n_stones"
         " FROM (SELECT *, iif(state = 'closed' AND in_progress > 0, 'closing', state) AS shown_state FROM (SELECT *,"
         " (SELECT coalesce(sum(n), 0) FROM triggers WHERE triggers.state = 'open' AND triggers.lot = lots.lot)"
@@ -320,9 +344,13 @@ def _lots(
     return [_document(**row) for row in rows_by_name(rows)]
 
 
-def _document(definition: str, completion: str | None, **row: Any) -> LotDocument:
-    said = None if completion is None else LotCompletion.model_validate_json(completion)
-    return LotDocument(**asdict(LotDefinition(**json.loads(definition))), completion=said, **row)
+def _document(definition: str, completion: str | None, reached: str | None, **row: Any) -> LotDocument:
+    return LotDocument(
+        **asdict(LotDefinition(**json.loads(definition))),
+        completion=None if completion is None else LotCompletion.model_validate_json(completion),
+        reached=None if reached is None else ReachedVerdict.model_validate_json(reached),
+        **row,
+    )
 
 
 def definition_of(lot: LotDocument | LotDefinition) -> LotDefinition:
@@ -336,7 +364,8 @@ def facts_of(lot: LotDocument) -> dict[str, Any]:
     return facts | {"version": facts.pop("product_version")}
 
 
-def _existing(connection: sqlite3.Connection, lot: str) -> LotDocument:
+def existing_lot(connection: sqlite3.Connection, lot: str) -> LotDocument:
+    """Return a lot that there is."""
     return _lots(connection, "lot = ?", (lot,), 1)[0]
 
 
@@ -349,7 +378,7 @@ def _noted(
     event: EventType,
 ) -> LotDocument:
     """Note a change of a lot in the audit and among the events, and return the lot as it is now."""
-    after = _existing(connection, lot)
+    after = existing_lot(connection, lot)
     facts = None if before is None else _audited(before)
     audit.note(connection, who, action, lot, before=facts, after=_audited(after))
     _note_event(connection, event, after)

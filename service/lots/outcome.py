@@ -7,12 +7,23 @@ from service.base.schema import Time
 from service.base.status import Report
 
 
-class LotOutcome(Report):
-    """Verdict on a lot, and what became of the stones that fell."""
+class LotVerdict(Report):
+    """Verdict on a lot, and the stones that it rests on."""
 
     verdict: Verdict | None = Field(description="Null without a specification")
     is_partial: bool = Field(description="True when some figures of the specification were not measured")
     measured: int = Field(description="Stones with a body and its measures")
+
+
+class ReachedVerdict(LotVerdict):
+    """The verdict of an open lot: more stones may change it, and with each look at them chance has another one."""
+
+    at: Time = Field(description="When it was reached, RFC 3339 UTC")
+
+
+class LotOutcome(LotVerdict):
+    """Verdict on a lot, and what became of the stones that fell."""
+
     rejected: int = Field(description="Stones whose views were found unfit")
     lost: int = Field(description="Stones whose views were never looked at")
 

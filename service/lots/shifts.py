@@ -17,12 +17,15 @@ class LotsSettings:
     max_mm: float = OF_THE_RIG.max_mm  # larger ones may be cut
     shift_starts: tuple[str, ...] = ("06:00", "14:00", "22:00")
     report_language: Language = Language.ENGLISH  # of the report that is issued when a lot is complete
+    no_stones_min: float | None = None  # armed and with an open lot, so long without a stone is an alarm
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_mm < self.max_mm:
             raise ValueError(
                 f"min_mm must be at least 0 and below max_mm, not {self.min_mm:g} and {self.max_mm:g}"
             )
+        if self.no_stones_min is not None and not 0 < self.no_stones_min <= 1440:
+            raise ValueError(f"no_stones_min must be above 0 and at most 1440, not {self.no_stones_min:g}")
         if not self.shift_starts:
             raise ValueError("shift_starts needs one time at least")
         for start in self.shift_starts:

@@ -8,6 +8,7 @@ import jsonschema_rs
 import pytest
 from support.rest import GOOD_HEALTH, SICK_HEALTH
 
+from pipeline.gradation.control_chart import RuleName
 from service.base.status import AcquisitionState, CheckStatus, HealthCheck
 from service.calibration.files import Activation
 from service.calibration.verifications import Verification, VerificationState
@@ -17,6 +18,7 @@ from service.delivery.posting import message_of, trial_message
 from service.health.alarms.alarms import open_alarms
 from service.lots.lots import LotDefinition, close_lot, open_lot, void_lot
 from service.lots.products import ProductDefinition, save_product
+from service.lots.trends.control_documents import DriftedFigure, ProductDrift
 from service.lots.trends.diary import DiaryKind, DiaryRequest, note_entry
 from service.store import Store
 from service.store.event_log import EventLog
@@ -61,6 +63,14 @@ async def events_of_all_kinds(store: Store) -> list[dict[str, Any]]:
                 created_at=TIME,
                 changed_at=TIME,
             )
+        ),
+        NewEvent(
+            type=EventType.PRODUCT_DRIFTING,
+            subject="basalt-8-16",
+            data=ProductDrift(
+                product="basalt-8-16",
+                figures=[DriftedFigure(figure="d50_mm", value=12.4, centre=11.2, rules=[RuleName.EWMA])],
+            ).model_dump(),
         ),
         NewEvent(type=EventType.CALIBRATION_ACTIVATED, subject="0002", data=asdict(activation)),
     )

@@ -22,6 +22,7 @@ def fall(
     *,
     per_min: float = 60.0,
     long_share: float = 0.18,
+    median_mm: float = 11.0,
     first_seq: int = 1,
     lot: str | None = None,
     seed: int = 0,
@@ -29,7 +30,7 @@ def fall(
     """Let stones fall evenly, so many of them elongated; every tenth is rejected. Return the next seq."""
     rng = np.random.default_rng(seed)
     n = round(minutes * per_min)
-    sizes_mm = np.exp(rng.normal(np.log(11), 0.25, n))
+    sizes_mm = np.exp(rng.normal(np.log(median_mm), 0.25, n))
     is_long = rng.random(n) < long_share
     long_mm = sizes_mm * np.where(is_long, 2.1, 1.3)
     short_mm = sizes_mm * np.where(is_long, 0.55, 0.75)

@@ -39,6 +39,7 @@ from service.base.status import (
 from service.calibration.calibrations import Calibrations
 from service.configuration.settings import Settings
 from service.daemon.diagnostics.archive import Inputs
+from service.daemon.overview.overviews import KeptFigures
 from service.daemon.overview.result_delays import ResultDelays
 from service.daemon.rest import app
 from service.daemon.running_daemon import rig_standing
@@ -104,6 +105,7 @@ class FakeControl:
     webhooks: Webhooks | None = None
     remeasuring: Remeasuring | None = None
     plant: PlantSettings = field(default_factory=PlantSettings)
+    figures: KeptFigures | None = None
     shown: list[tuple[CameraId, float]] = field(default_factory=list)
 
     def acquisition_status(self) -> AcquisitionStatus:
@@ -201,7 +203,9 @@ def app_of(
 ) -> FastAPI:
     """Return the application, with a thread in the place of the reading process unless one is given."""
     settings = settings or ApiSettings()
-    return app.create_app(store, control, settings, reading or ReadingThread(), KeyRing(settings.keys, store))
+    reading = reading or ReadingThread()
+    control.figures = KeptFigures(store, reading)
+    return app.create_app(store, control, settings, reading, KeyRing(settings.keys, store))
 
 
 def particle_files(folder: Path) -> dict[str, Path]:

@@ -72,15 +72,13 @@ class Overview:
 class Overviews:
     """Makes overviews while they are asked for. Call it on the event loop."""
 
-    def __init__(self, store: Store, control: Control, reading: Reading) -> None:
+    def __init__(self, store: Store, control: Control) -> None:
         self._store = store
         self._control = control
-        self._reading = reading
         self._shared = SharedAnswers()
         self._last: Overview | None = None
         self._rows = Rows()
         self._rows_seq = -1  # `last_seq` at the time of the rows
-        self._figures = KeptFigures(store, reading)
 
     async def now(self) -> Overview:
         """Return the overview; one that is younger than `MOST_S` is new enough."""
@@ -110,7 +108,7 @@ class Overviews:
         await self._read_rows()
         lot = None if self._rows.lot is None else self._rows.lot.lot
         request = Request(measured=self._control.part(LotsSettings).measured)
-        figures = await self._figures.now(lot, request)
+        figures = await self._control.part(KeptFigures).now(lot, request)
         document = _document(self._store, self._control, self._rows, self._rows_seq, figures)
         lasting = document.model_dump_json(exclude=PASSING)
         self._last = Overview(
@@ -132,7 +130,7 @@ class Overviews:
 
 
 class KeptFigures:
-    """The main figures of one lot or of the last hour, made anew beside the overviews."""
+    """The main figures of one lot or of the last hour, made anew beside those who ask: overviews and `ProductWatch`."""
 
     def __init__(self, store: Store, reading: Reading) -> None:
         self._store = store
@@ -141,6 +139,13 @@ class KeptFigures:
         self._lot: str | None = None
         self._making: asyncio.Task[None] | None = None
         self._made_s = self._due_s = -math.inf
+        self._made_seq = -1
+
+    async def with_new_results(self, lot: str, request: Request) -> OverviewFigures | None:
+        """Return the figures of a lot as `now` does, but have new ones made only if there is a new result."""
+        if lot == self._lot and self._made_seq == self._store.last_seq:
+            return self._figures
+        return await self.now(lot, request)
 
     async def now(self, lot: str | None, request: Request) -> OverviewFigures | None:
         """Return the figures made last, and have new ones made if it is time; old ones wait for these."""
@@ -151,12 +156,12 @@ class KeptFigures:
         return self._figures if lot == self._lot else None
 
     async def _make(self, lot: str | None, request: Request) -> None:
-        begun_s = _now_s()
+        begun_s, last_seq = _now_s(), self._store.last_seq
         try:
             self._figures = await self._reading.run(
                 read, self._store.path, overview_figures, lot, datetime.now(UTC), request
             )
-            self._lot, self._made_s = lot, _now_s()
+            self._lot, self._made_s, self._made_seq = lot, _now_s(), last_seq
         except (
             ServiceError
         ) as err:  # the process is busy, the store cannot be read, or a specification is gone

@@ -66,7 +66,7 @@ def create_app(
     app.state.context = ApiContext(
         store=store, control=control, settings=settings, reading=reading, keys=keys, sessions=Sessions(store)
     )
-    app.state.overviews = Overviews(store, control, reading)
+    app.state.overviews = Overviews(store, control)
     app.add_middleware(keeping_answers, store=store)  # the innermost: what the others refuse is not kept
     app.add_middleware(gzipping, reading=reading)
     app.add_middleware(ForeignPages, settings=settings)

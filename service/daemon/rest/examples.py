@@ -72,6 +72,7 @@ EXAMPLES: Mapping[type, Mapping[str, Any]] = {
         "n_stones": 312,
         "in_progress": 1,
         "completion": None,
+        "reached": None,
     },
     SievingRequest: {"retained_g": {"16": 12.5, "12.5": 410.0, "8": 530.5}, "pan_g": 21.0, "by": "B. Smith"},
     Cursor: {"after": 1234},

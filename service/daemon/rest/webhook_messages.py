@@ -13,6 +13,7 @@ from service.calibration.verifications import Verification
 from service.delivery.posting import TEST
 from service.health.routes import AlarmDocument, HealthDocument
 from service.lots.lots import LotDocument
+from service.lots.trends.control_documents import ProductDrift
 from service.lots.trends.diary import DiaryEntry
 from service.store.events import EventType
 from service.web.openapi_parts import header_references
@@ -77,6 +78,7 @@ DETAILS: dict[str, tuple[dict[str, Any], Sequence[EventType]]] = {
         _details("Details of `acquisition.changed`.", AcquisitionStatus, ["state", "trouble"]),
         [EventType.ACQUISITION_CHANGED],
     ),
+    "DriftDetails": (_details("Details of `product.drifting`.", ProductDrift), [EventType.PRODUCT_DRIFTING]),
     "DiaryDocument": (_schema(DiaryEntry), [EventType.DIARY_NOTED]),
     "HealthDetails": (
         _details(

@@ -202,7 +202,13 @@ def _tag(record: LotDocument) -> str:
 
 def _tag_of_facts(record: LotDocument) -> str:
     """Return the version of what people say of a lot: its stones come by themselves."""
-    by_itself = {"n_stones": 0, "in_progress": 0, "completion": None, "state": LotState.CLOSED}
+    by_itself = {
+        "n_stones": 0,
+        "in_progress": 0,
+        "completion": None,
+        "reached": None,
+        "state": LotState.CLOSED,
+    }
     return (
         etag(facts_of(record) | by_itself)
         if record.is_closed

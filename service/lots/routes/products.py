@@ -9,8 +9,12 @@ from pydantic import BaseModel, Field
 
 from pipeline.gradation.sieves import SieveSet
 from service.base.ids import ID, NEW_ID
+from service.lots.evaluation import as_json
 from service.lots.products import Product, ProductDefinition, find_product, products, save_product
+from service.lots.shifts import LotsSettings
 from service.lots.standards import read_standards
+from service.lots.trends.control import product_control, save_settings
+from service.lots.trends.control_documents import ControlSettings, ProductControl
 from service.lots.yardsticks import Request, specification_names, yardstick_of
 from service.web.auth import CONFIGURABLE, READABLE, Who
 from service.web.context import Context
@@ -85,6 +89,28 @@ async def product(
     found = existing(await context.store.read(find_product, product, version), "product", product)
     response.headers["ETag"] = _tag(found)
     return unchanged(request, _tag(found)) or found
+
+
+@router.get("/{product}/control", response_model=ProductControl, dependencies=READABLE)
+async def get_control(context: Context, product: ProductName) -> Response:
+    """Get the control charts of a product: its completed lots against limits, with rules, EWMA and capability.
+
+    Limits are three standard deviations of a lot of so many stones: the scatter from lot to lot, and the lot's own
+    error of sampling. They come from the first 20 lots that count, or were set. Lots that were completed by earlier
+    versions have no point. Beside each violation is what happened since the last lot before the pattern.
+    """
+    measured = context.part(LotsSettings).measured
+    content = await context.read_beside(as_json, product_control, product, measured)
+    return Response(existing(content, "product", product), media_type="application/json")
+
+
+@router.put("/{product}/control", dependencies=CONFIGURABLE)
+async def put_control(
+    context: Context, product: ProductName, wanted: ControlSettings, asking: Who
+) -> ControlSettings:
+    """Set the limits of a product's control charts, all at once; an empty body takes those of its first lots again."""
+    found = existing(await context.store.read(find_product, product), "product", product)
+    return await context.write(save_settings, found, wanted, asking)
 
 
 def _tag(product: Product) -> str:

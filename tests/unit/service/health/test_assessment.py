@@ -154,9 +154,14 @@ def test_a_healthy_rig_is_good_and_ready_and_its_checks_are_in_the_order_of_thei
             "issued_reports",
             "configuration",
         ),
-        *("rig", "optics", "refinement"),
+        *("rig", "optics", "refinement", "conformity", "drift", "feed"),
     ]
     assert {check.status for check in health.checks.values()} == {CheckStatus.PASS}
+
+
+def test_a_bad_product_says_nothing_of_the_device():
+    health = assessed({"conformity": trouble_check("lot L1 does not conform")})
+    assert (health.ne107, health.ready, health.reasons) == (Ne107.GOOD, True, ())
 
 
 @pytest.mark.parametrize(
