@@ -190,6 +190,48 @@ def report(
     typer.echo(f"{out}: {len(content) / 1e3:.0f} kB")
 
 
+@command.command()
+@with_options
+def control(
+    product: Annotated[str, typer.Argument(metavar="PRODUCT", help="Name of the product.")],
+    daemon: DaemonClient,
+    as_json: AsJson = False,
+) -> None:
+    """Show the control charts of a product: limits, capability, and the lots that are out of control."""
+    found = daemon.ask(f"/products/{quote(product)}/control")
+    if as_json:
+        typer.echo(json.dumps(found))
+        return
+    console, drifting = Console(), [each["figure"] for each in found["drifting"]]
+    console.print(control_table(found["charts"]))
+    for chart in found["charts"]:
+        for point in (each for each in chart["points"] if each["rules"]):
+            console.print(f"{chart['figure']}: lot {point['lot']}: {', '.join(point['rules'])}")
+    console.print(f"drifting: {', '.join(drifting) or 'nothing'}")
+
+
+def control_table(charts: list[dict[str, Any]]) -> Table:
+    """Return control charts as a table for a terminal: a row a figure, with its newest lot."""
+    numbers = ("lots", "newest", "lower", "centre", "upper", "EWMA", "Cpk", "Ppk")
+    table = Table("figure", *(Column(name, justify="right") for name in numbers))
+    for chart in charts:
+        counted = [point for point in chart["points"] if point["is_counted"]]
+        newest = counted[-1] if counted else {"figure": {}}
+        capability = chart["capability"] or {}
+        shown = (
+            newest["figure"].get("value"),
+            newest.get("lower"),
+            chart["centre"],
+            newest.get("upper"),
+            newest.get("ewma"),
+            capability.get("cpk"),
+            capability.get("ppk"),
+        )
+        texts = ("-" if value is None else f"{value:.2f}" for value in shown)
+        table.add_row(chart["figure"], str(len(counted)), *texts)
+    return table
+
+
 def why_open(figures: dict[str, Any]) -> str | None:
     """Return in one line why there is no verdict yet and what would close it; None when it is decided."""
     if figures["verdict"] not in OPEN:

@@ -116,7 +116,7 @@ class _Axes:
         low, high = min(low, (low + high - span) / 2), max(high, (low + high + span) / 2)
         self.least = max(low - MARGIN * span, 0.0)
         self.greatest = high + MARGIN * span
-        self.step = _nice_step((self.greatest - self.least) / 4)
+        self.step = nice_step((self.greatest - self.least) / 4)
         self.decimals = max(0, -floor(log10(self.step)))
 
     def x(self, at: datetime) -> float:
@@ -147,7 +147,7 @@ class _Axes:
             at += step
 
 
-def _nice_step(least: float) -> float:
+def nice_step(least: float) -> float:
     """Return the next of 1, 2, 5, 10 ... that is not less."""
     power = 10.0 ** floor(log10(least))
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least * 0.999)

@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 NAMED = (
-    *("alarm", "calibration", "camera", "consumer", "lot", "particle"),
+    *("alarm", "calibration", "camera", "chart", "consumer", "lot", "particle"),
     *("product", "recording", "report", "sample", "verification", "webhook"),
 )
 """What requests name: each has a problem 404 of its own."""

@@ -3,6 +3,7 @@
 import time
 from datetime import UTC, datetime, timedelta
 from typing import Any
+from xml.etree import ElementTree
 
 import httpx
 import pytest
@@ -27,6 +28,7 @@ from service.store import Store
 from service.store.event_log import EventLog
 from service.store.events import EventType, NewEvent, events_after
 
+SVG = "{http://www.w3.org/2000/svg}"
 CONTROL = "/products/basalt-8-16/control"
 FIGURES = ["d50_mm", "passing_8_mm_percent", "passing_16_mm_percent", "flakiness_percent", "shape_percent"]
 IN_CONTROL_MM, COARSE_MM = 11.0, 14.0
@@ -79,7 +81,10 @@ async def days(client: httpx.AsyncClient, store: Store, monkeypatch: pytest.Monk
 
 
 async def test_lots_are_the_points_of_a_chart(client: httpx.AsyncClient, days: Days) -> None:
-    assert (await client.get(CONTROL)).json()["charts"] == []
+    assert [(name, each["points"]) for name, each in (await days.charts()).items()] == [
+        (each, []) for each in FIGURES
+    ]
+    assert "no lot has been completed" in (await client.get(f"{CONTROL}/d50_mm.svg")).text
     for _ in range(7):
         await days.complete()
     assert {each["centre"] for each in (await days.charts()).values()} == {None}
@@ -143,6 +148,15 @@ async def test_a_drift_is_an_event_once_and_an_alarm_until_it_is_gone(
         ("optics", "c07: dust")
     ]
 
+    drawn = (await client.get(f"{CONTROL}/d50_mm.svg?language=de")).text
+    root = ElementTree.fromstring(drawn)  # noqa: S314 - of our own making
+    assert f"außer Kontrolle: {', '.join(coarse)}" in (root.findtext(f"{SVG}desc") or "")
+    assert (
+        sum(each.get("class") == "does-not-conform" for each in root.iter(f"{SVG}circle")) == 3 + 1
+    )  # legend
+    assert "Brechwerkzeug" in {each.text for each in root.iter(f"{SVG}text")}
+    assert_problem(await client.get(f"{CONTROL}/d51_mm.svg"), 404, "unknown-chart")
+
     await watch.look()
     alarms.update(watch.checks())
     (alarm,) = (each for each in alarms.within(AlarmState.UNACKNOWLEDGED) if each.check == "drift")
@@ -170,7 +184,7 @@ async def test_limits_are_set_by_hand_and_taken_back(client: httpx.AsyncClient, 
     noted = (await client.get("/audit?limit=1000")).json()["items"][-1]
     assert (noted["action"], noted["before"]["limits"]) == ("control limits", {})
     await client.put(CONTROL, json={"since": "2100-01-01T00:00:00Z"})
-    assert await days.charts() == {}
+    assert not any(each["points"] for each in (await days.charts()).values())
     await client.put(CONTROL, json={})
     assert (await days.charts())["d50_mm"]["origin"] is None
 

@@ -125,6 +125,19 @@ def test_every_figure_has_its_trend(operator: Watched) -> None:
     expect(operator.page.locator("#trend")).to_have_attribute("data-asked", re.compile("hours=12&"))
 
 
+def test_a_figure_of_the_product_has_its_control_chart(operator: Watched, lot: str) -> None:
+    page = operator.page
+    expect(page.locator("#lot-name")).to_have_text(lot)
+    page.locator("#tile-shape").click()
+    page.get_by_role("button", name="Control chart").click()
+    expect(page.locator("#trend")).to_have_attribute(
+        "data-asked", re.compile("/products/basalt/control/shape_percent[.]svg")
+    )
+    expect(page.locator("#trend svg title")).to_have_text("Shape index SI, %: basalt")
+    page.get_by_role("button", name="Control chart").click()
+    expect(page.locator("#trend svg title")).to_have_text("Shape index SI, %")
+
+
 def test_every_camera_has_a_tile_and_the_dim_one_stands_out(operator: Watched, replay: DaemonProcess) -> None:
     page = operator.page
     expect(page.locator("#camera-tiles li")).to_have_count(16)

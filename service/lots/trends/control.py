@@ -144,7 +144,8 @@ def product_control(
     found = find_product(connection, product)
     if found is None:
         return None
-    specification = yardstick_of(found, Request(measured=measured)).specification
+    yardstick = yardstick_of(found, Request(measured=measured))
+    specification = yardstick.specification
     specified: dict[str, Range | None] = {}
     if specification is not None:
         specified = {f"passing_{each:g}_mm_percent": limits for each, limits in specification.passing.items()}
@@ -152,6 +153,9 @@ def product_control(
     settings = settings_of(connection, product)
     charts = _charts(connection, product, settings)
     happened = _happened(connection, min((chart.lots[0].opened_at for chart in charts), default=utc_now()))
+    if not charts:
+        names = _names(found, yardstick.apertures_mm)
+        charts = [_chart(name, (), settings.limits.get(name)) for name in names]
     return ProductControl(
         product=product,
         settings=settings,

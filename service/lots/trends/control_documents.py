@@ -113,7 +113,7 @@ class ProductControl(Report):
         description="Figures whose newest lot that counts is beyond its limits, or whose EWMA is; none before 20 lots"
     )
     charts: list[FigureControl] = Field(
-        description="Each figure that the newest lot has; empty before the first completed lot"
+        description="Each figure; without points before the first completed lot"
     )
 
 

@@ -12,10 +12,12 @@ from service.lots.comparing import LotComparison, Side, compare_lots
 from service.lots.evaluation import as_json
 from service.lots.lots import find_lot
 from service.lots.routes.lot_figures import Measuring, next_second
+from service.lots.routes.products import ProductName
 from service.lots.shifts import LotsSettings
 from service.lots.trends.changes import Changes
 from service.lots.trends.trend import Trend, trend
 from service.reports.changes import told_changes
+from service.reports.control import stored_control_svg
 from service.reports.routes.lot_reports import DrawingLanguage
 from service.reports.trend import TrendFigure, stored_trend_svg
 from service.web.auth import READABLE
@@ -62,6 +64,27 @@ async def get_trend_drawing(
     now, measured = rfc3339(next_second()), context.part(LotsSettings).measured
     text = await shared(context, stored_trend_svg, now, hours, measured, figure, language, keep_s=KEEP_S)
     return svg_answer(asked, text or "")
+
+
+@router.get(
+    "/products/{product}/control/{figure}.svg",
+    response_class=Response,
+    responses={**SVG, **problem_responses(404)},
+    tags=["lots"],
+)
+async def get_control_drawing(
+    context: Context,
+    asked: HttpRequest,
+    product: ProductName,
+    figure: Annotated[
+        str, Path(max_length=100, description="Such as `d50_mm`; `/products/{product}/control` names all")
+    ],
+    language: DrawingLanguage = Language.ENGLISH,
+) -> Response:
+    """Draw the control chart of a figure: the newest 60 lots, limits, weighted mean, and entries of the diary."""
+    measured = context.part(LotsSettings).measured
+    text = await context.read_beside(stored_control_svg, product, figure, measured, language)
+    return svg_answer(asked, existing(text, "chart", f"{product}, {figure}"))
 
 
 @router.get(

@@ -15,6 +15,8 @@ const TILES = [["d50", "d50_mm", "mm", 1], ["flakiness", "flakiness_percent", "%
 const latest = latestOnly();
 let hours = Number(localStorage.getItem("hours"));
 let drawnAt = 0;
+let product = localStorage.getItem("product"); // of the open lot, else of the last one that was
+let isOfLots = false;
 let drawn = localStorage.getItem("trend") ?? TILES[0][0]; // one drawing that can be read rather than four that cannot
 
 /** Make the tiles, the choice of hours and the diary. */
@@ -27,6 +29,10 @@ export function mountTrends() {
     )));
   show(byId("hours"), HOURS.map((each) =>
     html.button({ type: "button", "data-hours": each, onclick: () => choose(each) }, word("operator.last-hours", { hours: each }))));
+  byId("control-chart").onclick = () => {
+    isOfLots = !isOfLots;
+    drawTrend();
+  };
   mountDiary(refresh);
   choose(hours);
   setInterval(() => showChanges(hours), CHANGES_MS);
@@ -34,7 +40,10 @@ export function mountTrends() {
 }
 
 /** Show the figures of now. */
-export function showTiles({ figures, stones_per_min: rate }) {
+export function showTiles({ figures, stones_per_min: rate, lot }) {
+  product = lot?.product ?? product;
+  localStorage.setItem("product", product ?? "");
+  byId("control-chart").hidden = !product;
   for (const [name, field, , digits] of TILES) {
     const figure = field === null ? { value: rate } : figures?.[field];
     const tile = byId(`tile-${name}`);
@@ -72,7 +81,11 @@ async function drawTrend() {
   drawnAt = performance.now();
   if (!TILES.some(([name]) => name === drawn)) [[drawn]] = TILES;
   for (const [name] of TILES) byId(`tile-${name}`).setAttribute("aria-pressed", String(name === drawn));
-  const asked = `/trends/${drawn}.svg?hours=${hours}&language=${language()}`;
+  byId("control-chart").setAttribute("aria-pressed", String(isOfLots));
+  const figure = TILES.find(([name]) => name === drawn)[1];
+  const asked = isOfLots && product && figure
+    ? `/products/${encodeURIComponent(product)}/control/${figure}.svg?language=${language()}`
+    : `/trends/${drawn}.svg?hours=${hours}&language=${language()}`;
   byId("trend").dataset.asked = asked;
   const text = await latest(getText(asked)).catch(() => null);
   if (text !== null) show(byId("trend"), svgFromServer(text));

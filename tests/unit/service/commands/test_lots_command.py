@@ -52,3 +52,19 @@ def test_an_open_verdict_says_why_and_what_would_close_it() -> None:
 @pytest.mark.parametrize("verdict", [Verdict.CONFORMS, Verdict.DOES_NOT_CONFORM, Verdict.NOT_MEASURED])
 def test_a_decided_verdict_is_not_called_open(verdict: Verdict) -> None:
     assert why_open(figures_of_one_sieve(verdict, None)) is None
+
+
+def test_control_charts_are_a_table_with_what_is_out_of_control(monkeypatch: pytest.MonkeyPatch) -> None:
+    in_control = {"lot": "L1", "is_counted": True, "figure": {"value": 11.2}, "rules": []}
+    limits = {"lower": 10.5, "upper": 12.0, "ewma": 11.3}
+    out = {**in_control, **limits, "lot": "L2", "figure": {"value": 12.4}, "rules": ["beyond_limits", "ewma"]}
+    d50 = {"figure": "d50_mm", "centre": 11.25, "capability": None, "points": [in_control, out]}
+    few = {"figure": "shape_percent", "centre": None, "capability": None, "points": []}
+    answer = {"charts": [d50, few], "drifting": [{"figure": "d50_mm"}]}
+    monkeypatch.setattr(DaemonClient, "ask", lambda *_: answer)
+    done = CliRunner().invoke(build_app(["lots"]), ["lots", "control", "basalt-8-16"])
+    assert done.exit_code == 0, done.output
+    rows = [" ".join(line.split()) for line in done.output.splitlines()]
+    assert "│ d50_mm │ 2 │ 12.40 │ 10.50 │ 11.25 │ 12.00 │ 11.30 │ - │ - │" in rows
+    assert "d50_mm: lot L2: beyond_limits, ewma" in done.output
+    assert "drifting: d50_mm" in done.output
