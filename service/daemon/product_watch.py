@@ -24,6 +24,8 @@ log = logging.getLogger(__name__)
 
 LOOK_S = 5.0
 """Time between two looks at the open lot; figures of large ones are made less often."""
+AGAIN_S = 60.0
+"""Time after which the standing is read again although nothing has happened: limits may have been set."""
 DECIDED = (Verdict.CONFORMS, Verdict.DOES_NOT_CONFORM)
 
 
@@ -43,7 +45,7 @@ class ProductWatch:
         self._store = store
         self._control = control
         self._standing = Standing()
-        self._last_event = -1
+        self._last_event, self._read_s = -1, 0.0
         self._fed_s = time.monotonic()
         self._told: tuple[str, Verdict | None] | None = None
 
@@ -69,9 +71,10 @@ class ProductWatch:
 
     async def look(self) -> None:
         """Look once."""
-        if (last_event := self._store.last_event) != self._last_event:
+        last_event, now_s = self._store.last_event, time.monotonic()
+        if last_event != self._last_event or now_s - self._read_s > AGAIN_S:
             self._standing = await self._store.read(standing)
-            self._last_event = last_event
+            self._last_event, self._read_s = last_event, now_s
         if (lot := self._standing.open_lot) is None:
             return
         request = Request(measured=self._control.part(LotsSettings).measured)

@@ -38,7 +38,7 @@ def stored_control_svg(
     connection: sqlite3.Connection, product: str, figure: str, measured: MeasuredRange, language: Language
 ) -> str | None:
     """Return the drawing of one figure of a product, None if the product is not known or has no such figure."""
-    found = product_control(connection, product, measured)
+    found = product_control(connection, product, measured, SHOWN)
     charts = [] if found is None else found.charts
     return next((control_svg(each, product, language) for each in charts if each.figure == figure), None)
 
@@ -46,7 +46,7 @@ def stored_control_svg(
 def control_svg(chart: FigureControl, product: str, language: Language) -> str:
     """Return the drawing of a control chart."""
     say = words(language)
-    points = chart.points[-SHOWN:]
+    points = chart.points
     axes = _Axes(points, chart.centre)
     title = f"{_title(chart.figure, say)}: {product}"
     out = [point.lot for point in points if _is_out(point)]

@@ -104,6 +104,8 @@ async def test_lots_are_the_points_of_a_chart(client: httpx.AsyncClient, days: D
         (median,) = (each for each in figures["quantiles"] if each["percent"] == 50)
         assert point["figure"] == median["exact_mm"]
     assert (d50["specified"], d50["capability"]) == (None, None)
+    newest = (await client.get(f"{CONTROL}?limit=2")).json()["charts"][0]
+    assert newest == d50 | {"points": d50["points"][-2:]}
     flakiness = charts["flakiness_percent"]
     assert (flakiness["specified"]["max_percent"], flakiness["capability"]["n"]) == (20, 21)
     assert flakiness["capability"]["ppk_low"] < flakiness["capability"]["ppk"]

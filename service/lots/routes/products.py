@@ -92,7 +92,11 @@ async def product(
 
 
 @router.get("/{product}/control", response_model=ProductControl, dependencies=READABLE)
-async def get_control(context: Context, product: ProductName) -> Response:
+async def get_control(
+    context: Context,
+    product: ProductName,
+    limit: Annotated[int, Query(ge=1, le=500, description="Lots of the answer, the newest, at most")] = 100,
+) -> Response:
     """Get the control charts of a product: its completed lots against limits, with rules, EWMA and capability.
 
     Limits are three standard deviations of a lot of so many stones: the scatter from lot to lot, and the lot's own
@@ -100,7 +104,7 @@ async def get_control(context: Context, product: ProductName) -> Response:
     versions have no point. Beside each violation is what happened since the last lot before the pattern.
     """
     measured = context.part(LotsSettings).measured
-    content = await context.read_beside(as_json, product_control, product, measured)
+    content = await context.read_beside(as_json, product_control, product, measured, limit)
     return Response(existing(content, "product", product), media_type="application/json")
 
 

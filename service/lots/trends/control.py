@@ -138,9 +138,12 @@ def settings_of(connection: sqlite3.Connection, product: str) -> ControlSettings
 
 
 def product_control(
-    connection: sqlite3.Connection, product: str, measured: MeasuredRange
+    connection: sqlite3.Connection, product: str, measured: MeasuredRange, limit: int
 ) -> ProductControl | None:
-    """Return the control charts of a product, None if there is none; raise `UnknownYardstickError`."""
+    """Return the control charts of a product with their newest points, None if there is no such product.
+
+    Raises `UnknownYardstickError` as `yardstick_of` does.
+    """
     found = find_product(connection, product)
     if found is None:
         return None
@@ -162,7 +165,10 @@ def product_control(
         drifting=_drifted(charts),
         charts=[
             _figure_control(
-                chart, specified.get(chart.name), happened, is_by_hand=chart.name in settings.limits
+                chart,
+                list(_points(chart, happened))[-limit:],
+                specified.get(chart.name),
+                is_by_hand=chart.name in settings.limits,
             )
             for chart in charts
         ],
@@ -235,7 +241,7 @@ def _chart(name: str, lots: Sequence[_Lot], by_hand: ControlLimits | None) -> _C
 
 
 def _figure_control(
-    chart: _Chart, specified: Range | None, happened: _Happened, *, is_by_hand: bool
+    chart: _Chart, points: list[ControlPoint], specified: Range | None, *, is_by_hand: bool
 ) -> FigureControl:
     baseline = chart.baseline
     origin = Origin.BY_HAND if is_by_hand else Origin.FIRST_LOTS
@@ -249,7 +255,7 @@ def _figure_control(
         sd=None if baseline is None else baseline.sd,
         specified=specified,
         capability=capability(values, lower, upper),
-        points=list(_points(chart, happened)),
+        points=points,
     )
 
 

@@ -92,7 +92,7 @@ class FigureControl(Report):
     capability: Capability | None = Field(
         description="Against these; null: no limits, fewer than 20 lots that count, or all alike"
     )
-    points: list[ControlPoint] = Field(description="Oldest first")
+    points: list[ControlPoint] = Field(description="The newest lots, oldest first")
 
 
 class DriftedFigure(Report):
