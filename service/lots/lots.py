@@ -6,6 +6,7 @@ issued report. What changes its figures later is another revision, which is comp
 
 import json
 import sqlite3
+from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum

@@ -31,7 +31,7 @@ def test_a_report_is_genuine_until_a_byte_is_changed(
     watched: Watched, replay: DaemonProcess, issued: bytes, tmp_path: Path
 ) -> None:
     page = watched.page
-    page.goto(origin_of(replay.url("")))
+    page.goto(origin_of(replay.url("")) + "/lots")
     page.get_by_role("link", name="Check a report").click()
     for name, content, said in (
         ("issued", issued, "Genuine: this instrument signed it"),

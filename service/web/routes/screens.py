@@ -44,7 +44,7 @@ PAGES = {
     "/compare": Page("compare", style="stones", section="/compare"),
     "/setup": Page("setup", style="setup", section="/setup"),
     "/stones/{particle_id}": Page("passport", style="stones", section="/gallery"),
-    "/verify": Page("verify", section="/verify"),
+    "/verify": Page("verify", section="/lots"),
     "/sign-in": Page("sign-in"),
 }
 """All pages by address; the header links those that are a section, in this order."""
