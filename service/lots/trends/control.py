@@ -49,8 +49,8 @@ MAX_FIRST, MAX_NEWEST = 100, 400
 MAX_CAUSES = 500
 """Entries of the diary, and events, that causes are looked for among, the newest."""
 TELLING = frozenset({RuleName.BEYOND_LIMITS, RuleName.EWMA})
-"""Rules that make a product drift. The others mark points of the chart: with all rules one lot in fifteen would be a
-false alarm for one of five figures, with these one in forty."""
+"""Rules that make a product drift. The others mark points of the chart: with all of Western Electric's, false
+alarms would be four times as many as with the limits alone (Champ and Woodall, Technometrics 29, 1987)."""
 CAUSES = (EventType.ALARM_RAISED, EventType.CALIBRATION_ACTIVATED)
 PRODUCT_CHECKS = (CONFORMITY, DRIFT, FEED) = ("conformity", "drift", "feed")
 """Checks of health that are about the product, and no cause of anything."""
