@@ -149,6 +149,7 @@ def quantile(
             value=size_mm,
             low=low_mm,
             high=high_mm,
+            standard_error=in_mm.joined,
             sampling_se=in_mm.sampling,
             measuring_se=in_mm.measuring,
             systematic_se=in_mm.systematic,

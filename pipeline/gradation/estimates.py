@@ -56,7 +56,7 @@ class Estimate:
     high: float | None = None
     """Upper end of it."""
     standard_error: float | None = None
-    """Standard error of sampling and measuring together."""
+    """Standard error of all causes together: the root of the sum of their squares."""
     sampling_se: float | None = None
     """Other stones might have fallen."""
     measuring_se: float | None = None

@@ -12,7 +12,7 @@ from support.stones import lot_of_masses, round_stone
 from pipeline.gradation.curve import influence, interpolated_mm, retained_to_passing
 from pipeline.gradation.estimates import State
 from pipeline.gradation.evaluation import Gradation, evaluate
-from pipeline.gradation.indices import fineness_modulus
+from pipeline.gradation.indices import INDICES, fineness_modulus
 from pipeline.gradation.sieves import ALL_SIZES, LeastPortions, MeasuredRange, SieveSet
 from pipeline.gradation.stones import Fate, Lot, Stone, UnmeasuredStone, fold, lot_of, merge
 
@@ -287,3 +287,16 @@ def test_least_test_portions_between_the_sizes_of_the_table() -> None:
     assert portions.least_kg(16.0) == pytest.approx(2.6)
     assert 0.6 < portions.least_kg(11.2) < 2.6
     assert portions.least_kg(4.0) == pytest.approx(0.6), "the table's end"
+
+
+@given(st.lists(MEASURED, min_size=2, max_size=30), st.sampled_from((0.0, 0.002)))
+def test_the_standard_error_of_every_figure_is_that_of_its_causes(
+    stones: list[Stone], scale_sd: float
+) -> None:
+    found = evaluate(lot_of(stones), SIEVES, scale_sd=scale_sd)
+    indices = (getattr(found.indices, name) for name in INDICES)
+    sizes = (*found.quantiles_exact_mm.values(), *found.quantiles_interpolated_mm.values())
+    for figure in (*(point.by_mass for point in found.curve), *sizes, *indices):
+        if figure.value is not None:
+            causes = (figure.sampling_se, figure.measuring_se, figure.systematic_se)
+            assert figure.standard_error == pytest.approx(np.hypot.reduce(np.array(causes, float)))
