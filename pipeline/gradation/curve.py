@@ -14,7 +14,7 @@ from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.stones import Lot
 
 PERCENTS = (10, 30, 50, 60, 90)
-"""Percentages whose sizes D10...D90 are given."""
+"""Percentages whose sizes D10...D90 are given, where no others are asked for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -34,8 +34,8 @@ class Gradation:
     volume_mm3: float
     n_effective: float
     curve: tuple[CurvePoint, ...]  # by rising sieve
-    quantiles_interpolated_mm: Mapping[int, Estimate]  # D10...D90 by percent: log-linear between the sieves
-    quantiles_exact_mm: Mapping[int, Estimate]  # the same from the stones themselves
+    quantiles_interpolated_mm: Mapping[float, Estimate]  # D10...D90 by percent: log-linear between the sieves
+    quantiles_exact_mm: Mapping[float, Estimate]  # the same from the stones themselves
     indices: ShapeIndices
     unmeasured: Unmeasured
     measured: MeasuredRange
@@ -53,29 +53,31 @@ def evaluate(
     measured: MeasuredRange = OF_THE_RIG,
     scale_sd: float = 0.0,
     fractions: Sequence[FlakinessFraction] = EN_933_3,
+    percents: Collection[float] = PERCENTS,
 ) -> Gradation:
     """Return the gradation of a lot at any sieves; equal to the last digit for any order of its stones.
 
     `scale_sd` is the relative standard deviation of all lengths, by the calibration (`length_sd_percent` / 100).
-    `fractions` are those of the flakiness index. Masses are volumes times one density, which cancels in percentages.
+    `fractions` are those of the flakiness index, `percents`, each above 0 and below 100, those of the sizes D_p. Masses
+    are volumes times one density, which cancels in percentages.
     """
     sample = sample_of(lot, scale_sd)
     lot = sample.lot
     curve = curve_of(sample, apertures_mm, measured)
     passing = {point.sieve_mm: point.by_mass.value for point in curve if point.by_mass.value is not None}
 
-    def quantiles(inverse: Inverse, percents: Collection[int]) -> dict[int, SizeQuantile | None]:
+    def quantiles(inverse: Inverse, percents: Collection[float]) -> dict[float, SizeQuantile | None]:
         return {percent: quantile(sample, percent, inverse, measured) for percent in percents}
 
     from_stones = Inverse(size_mm=lambda percent: exact_mm(lot, percent))
-    exact = quantiles(from_stones, {*PERCENTS, *GRAPHIC_PERCENTS})
+    exact = quantiles(from_stones, {*percents, *PERCENTS, *GRAPHIC_PERCENTS})
     interpolated = quantiles(
         Inverse(
             size_mm=lambda percent: interpolated_mm(passing, percent),
             low=min(passing.values(), default=100.0),
             high=max(passing.values(), default=0.0),
         ),
-        PERCENTS,
+        percents,
     )
     volumes_mm3 = lot.column("volume_mm3")
     return Gradation(
@@ -83,8 +85,8 @@ def evaluate(
         volume_mm3=float(volumes_mm3.sum()),
         n_effective=effective_number(volumes_mm3),
         curve=curve,
-        quantiles_interpolated_mm=_sizes(interpolated),
-        quantiles_exact_mm=_sizes(exact),
+        quantiles_interpolated_mm=_sizes(interpolated, percents),
+        quantiles_exact_mm=_sizes(exact, percents),
         indices=indices_of(sample, exact, fractions, apertures_mm, measured),
         unmeasured=unmeasured_mass(lot, measured.max_mm),
         measured=measured,
@@ -92,6 +94,8 @@ def evaluate(
     )
 
 
-def _sizes(quantiles: Mapping[int, SizeQuantile | None]) -> dict[int, Estimate]:
-    found = {percent: quantiles[percent] for percent in PERCENTS}
+def _sizes(
+    quantiles: Mapping[float, SizeQuantile | None], percents: Collection[float]
+) -> dict[float, Estimate]:
+    found = {percent: quantiles[percent] for percent in sorted(percents)}
     return {percent: NOT_MEASURED if of is None else of.size_mm for percent, of in found.items()}

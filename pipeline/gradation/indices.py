@@ -127,7 +127,7 @@ INDICES = tuple(each.name for each in fields(ShapeIndices) if each.type is Estim
 
 def indices_of(
     sample: Sample,
-    quantiles: Mapping[int, SizeQuantile | None],
+    quantiles: Mapping[float, SizeQuantile | None],
     fractions: Sequence[FlakinessFraction],
     apertures_mm: Sequence[float],
     measured: MeasuredRange,

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import Field
 
-from pipeline.gradation.curve import PERCENTS, passes
+from pipeline.gradation.curve import passes
 from pipeline.gradation.differences import Difference, difference_of_lots, difference_of_versions, significant
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.influences import Influences, share_influences, size_influences
@@ -120,7 +120,8 @@ def compared_figures(
     """Return the figures of two lots side by side; `is_paired`: of the same stones, measured twice."""
     named = [named_figures(each) for each in found]
     sieves_mm = [step.sieve_mm for step in found[0].curve]
-    first, second = (dict(_influences(each, sieves_mm, measured)) for each in stones)
+    percents = [each.percent for each in found[0].quantiles]
+    first, second = (dict(_influences(each, sieves_mm, percents, measured)) for each in stones)
     differences: dict[str, Difference] = {}
     for name, a in first.items():
         b = second[name]
@@ -145,14 +146,14 @@ def compared_figures(
 
 
 def _influences(
-    stones: Stones, sieves_mm: list[float], measured: MeasuredRange
+    stones: Stones, sieves_mm: list[float], percents: list[float], measured: MeasuredRange
 ) -> Iterator[tuple[str, Influences | None]]:
     """Yield the figures by their names, each with the influences of the measured stones in their order."""
     for sieve_mm in sieves_mm:
         found = share_influences(stones.lot, passes(sieve_mm)) if sieve_mm in measured else None
         yield f"passing_{sieve_mm:g}_mm_percent", found
-    for percent in PERCENTS:
-        yield f"d{percent}_mm", size_influences(stones.lot, percent, measured)
+    for percent in percents:
+        yield f"d{percent:g}_mm", size_influences(stones.lot, percent, measured)
     for name, property_of in SHARES.items():
         yield name, share_influences(stones.lot, property_of(measured))
 

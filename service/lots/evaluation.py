@@ -103,7 +103,13 @@ def figures_of(
     yardstick = yardstick_of(product, request)
     specification, apertures_mm = yardstick.specification, yardstick.apertures_mm
     scale_sd = LENGTH_SD_PERCENT / 100
-    gradation = evaluate(stones.lot, apertures_mm, measured=yardstick.measured, scale_sd=scale_sd)
+    gradation = evaluate(
+        stones.lot,
+        apertures_mm,
+        measured=yardstick.measured,
+        scale_sd=scale_sd,
+        percents=yardstick.percents,
+    )
     judgement = None if specification is None else judge(specification, gradation, rate_per_s)
     name = None if specification is None else specification.name
     upper_mm = None if product is None else product.upper_mm

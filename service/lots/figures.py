@@ -1,8 +1,9 @@
 """The figures of a lot as REST returns them and the report prints them."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, PlainSerializer, WithJsonSchema
 
 from pipeline.gradation.d4791 import DIMENSIONS, FlatAndElongated
 from pipeline.gradation.estimates import Estimate
@@ -43,10 +44,18 @@ class CorrelatedCurve(Report):
     curve: list[CorrelatedStep] = Field(description="By rising sieve")
 
 
+def _whole(percent: float) -> float:
+    return int(percent) if percent == int(percent) else percent
+
+
+QuantileShare = Annotated[float, PlainSerializer(_whole, return_type=Any), WithJsonSchema({"type": "number"})]
+"""A whole number where it is one: 50, 2.5."""
+
+
 class Quantile(Report):
     """A size that a share of the mass is smaller than; the two are different figures, and never mixed."""
 
-    percent: int = Field(description="Share of the mass, %: 50 is the median D50")
+    percent: QuantileShare = Field(description="Share of the mass, %: 50 is the median D50")
     interpolated_mm: Estimate = Field(description="Log-linear between neighbouring sieves")
     exact_mm: Estimate = Field(description="From the stones themselves")
 
@@ -93,7 +102,7 @@ class LotFigures(LotOutcome):
     correlated: CorrelatedCurve | None = Field(
         default=None, description="Null without a correlation study of the product"
     )
-    quantiles: list[Quantile] = Field(description="Sizes D10 to D90")
+    quantiles: list[Quantile] = Field(description="Sizes D10 to D90, or those of the product or the request")
     indices: ShapeIndices = Field(description="Fineness, uniformity, mean sizes and shape")
     flakiness_decision: Decision | None = Field(description="Verdict on FI (EN 933-3); null without limits")
     shape_decision: Decision | None = Field(description="Verdict on SI (EN 933-4); null without limits")
@@ -162,6 +171,6 @@ def named_figures(figures: LotFigures) -> dict[str, Estimate]:
     """Return curve, sizes and indices, with the sieve or the share in their name and the unit at its end."""
     return {
         **{f"passing_{step.sieve_mm:g}_mm_percent": step.passing_percent for step in figures.curve},
-        **{f"d{each.percent}_mm": each.exact_mm for each in figures.quantiles},
+        **{f"d{each.percent:g}_mm": each.exact_mm for each in figures.quantiles},
         **{name: getattr(figures.indices, name) for name in INDICES},
     }

@@ -27,6 +27,19 @@ Apertures = TypeAliasType(
 Percent = Annotated[float, Field(ge=0, le=100)]
 PercentRange = tuple[Percent, Percent]
 """Least and greatest percent, both allowed."""
+MAX_QUANTILES = 20
+QuantilePercent = Annotated[float, Field(gt=0, lt=100)]
+Quantiles = TypeAliasType(
+    "Quantiles",
+    Annotated[
+        tuple[QuantilePercent, ...],
+        Field(
+            min_length=1,
+            max_length=MAX_QUANTILES,
+            description="Percent of the mass that is smaller, of each size D_p",
+        ),
+    ],
+)
 Typical = tuple[Percent, Percent]
 """Percent that passes, and its tolerance to either side in percentage points."""
 EN_BASIC = "en-basic-2"
@@ -70,6 +83,9 @@ class ProductDefinition:
     declared_grading: Annotated[Mapping[ApertureName, Typical], Field(max_length=100)] | None = None
     """Typical grading that the supplier declares (EN 13043, EN 12620): percent passing and its tolerance in percentage
     points, by aperture in mm. Lots must lie within these as well."""
+    quantiles: Quantiles | None = None
+    """Percents of the sizes D_p that are given of its lots beside the median, such as 5, 16, 84, 95. D10, D30, D50, D60
+    and D90 when absent."""
 
 
 @served
@@ -152,6 +168,8 @@ def definition_of(document: Mapping[str, Any]) -> ProductDefinition:
         given["sieve_set"] = tuple(given["sieve_set"])
     if (declared := given.get("declared_grading")) is not None:
         given["declared_grading"] = {name: tuple(typical) for name, typical in declared.items()}
+    if (quantiles := given.get("quantiles")) is not None:
+        given["quantiles"] = tuple(quantiles)
     own = given.get("specification")
     if isinstance(own, Mapping):
         limits = {name: tuple(value) for name, value in own["passing"].items()}

@@ -2,18 +2,22 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import nan
 
 from pydantic import TypeAdapter, ValidationError
 
+from pipeline.gradation.curve import PERCENTS
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange, SieveSet
 from pipeline.gradation.specification import Range, Specification, specification_of, with_declaration
 from service.base.errors import InvalidRequestError
-from service.lots.products import Apertures, OwnSpecification, ProductDefinition
+from service.lots.products import MAX_QUANTILES, Apertures, OwnSpecification, ProductDefinition
 from service.lots.standards import read_standards
 
 DEFAULT_SET = "stonefall"
 """Sieves of stones without a product."""
 APERTURES = TypeAdapter[tuple[float, ...]](Apertures)
+MEDIAN_PERCENT = 50.0
+"""The size that is given of every product."""
 
 
 class UnknownYardstickError(InvalidRequestError):
@@ -28,15 +32,17 @@ class Request:
     """Name of a set, or apertures in mm: `4,5.6,8`."""
     specification: str | None = None
     measured: MeasuredRange = OF_THE_RIG
+    percents: tuple[float, ...] | None = None  # of the sizes D_p
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Yardstick:
-    """Sieves, specification and range of sizes of a lot."""
+    """Sieves, specification, range of sizes and percents of the sizes D_p of a lot."""
 
     sieves: SieveSet
     specification: Specification | None
     measured: MeasuredRange
+    percents: Sequence[float]
 
     @property
     def apertures_mm(self) -> Sequence[float]:
@@ -52,7 +58,22 @@ def yardstick_of(definition: ProductDefinition | None, request: Request) -> Yard
         sieves=sieves,
         specification=_specification(definition, request.specification, sieves),
         measured=request.measured,
+        percents=request.percents or _percents(definition),
     )
+
+
+def percents_in(text: str) -> tuple[float, ...]:
+    """Return the percents that a list like `5,16,84,95` names, rising; raise `UnknownYardstickError` for others."""
+    try:
+        percents = {float(each) for each in text.split(",")}
+    except ValueError:
+        percents = {nan}
+    if not all(0 < each < 100 for each in percents) or len(percents) > MAX_QUANTILES:
+        raise UnknownYardstickError(
+            f"quantiles: {text!r} is no list of up to {MAX_QUANTILES} percents above 0 and below 100,"
+            " such as 5,16,84,95"
+        )
+    return tuple(sorted(percents))
 
 
 def specification_names() -> list[str]:
@@ -102,6 +123,11 @@ def _specification(
         return replace(with_declaration(found, declared), flakiness=flakiness, shape=shape)
     except ValueError as err:
         raise UnknownYardstickError(f"declared_grading: {err}") from err
+
+
+def _percents(definition: ProductDefinition | None) -> Sequence[float]:
+    own = definition and definition.quantiles
+    return sorted({*own, MEDIAN_PERCENT}) if own else PERCENTS
 
 
 def _declared(definition: ProductDefinition | None) -> dict[float, Range]:

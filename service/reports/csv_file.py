@@ -96,8 +96,8 @@ def _curve_rows(figures: LotFigures) -> Iterator[Row]:
         by_number = step.passing_by_number_percent
         yield _figure_row("curve", "passing_by_number_percent", by_number, sieve_mm=step.sieve_mm)
     for quantile in figures.quantiles:
-        yield _figure_row("quantiles", f"d{quantile.percent}_interpolated_mm", quantile.interpolated_mm)
-        yield _figure_row("quantiles", f"d{quantile.percent}_exact_mm", quantile.exact_mm)
+        yield _figure_row("quantiles", f"d{quantile.percent:g}_interpolated_mm", quantile.interpolated_mm)
+        yield _figure_row("quantiles", f"d{quantile.percent:g}_exact_mm", quantile.exact_mm)
 
 
 def _index_rows(figures: LotFigures) -> Iterator[Row]:

@@ -75,7 +75,7 @@ def _quantiles(figures: LotFigures, say: Words) -> Table:
         ),
         [
             (
-                f"D{quantile.percent}",
+                f"D{say.size(quantile.percent)}",
                 *(
                     text
                     for figure in (quantile.interpolated_mm, quantile.exact_mm)

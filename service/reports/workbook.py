@@ -147,7 +147,7 @@ def _indices(sheets: _Sheets, data: ReportData, say: Words) -> None:
         (title, *_figure(each, decision, say)) for _, title, each, decision in judged_indices(figures, say)
     ]
     named = [
-        (f"D{each.percent}: {say(key)}", figure)
+        (f"D{say.size(each.percent)}: {say(key)}", figure)
         for each in figures.quantiles
         for key, figure in (
             ("quantiles.interpolated", each.interpolated_mm),

@@ -26,7 +26,7 @@ from service.lots.evaluation import lot_figures, window_figures
 from service.lots.figures import LotFigures
 from service.lots.lots import LotChoice, LotState, lots
 from service.lots.products import find_product
-from service.lots.yardsticks import Request
+from service.lots.yardsticks import MEDIAN_PERCENT, Request
 from service.results.fields import Outcome
 from service.store import ParticleFilter
 from service.store.accounting import OutcomeCounts, outcome_counts
@@ -36,7 +36,6 @@ RATE_OVER = timedelta(minutes=1)
 WINDOW = timedelta(hours=1)
 """Time whose stones the figures are of while no lot is open."""
 N_NEWEST = 12
-MEDIAN_PERCENT = 50
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

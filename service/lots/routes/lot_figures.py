@@ -1,5 +1,6 @@
 """The figures of a lot, of the last minutes or of a shift, and the stones behind each step of a curve."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from math import inf
 from typing import Annotated, Any
@@ -16,7 +17,7 @@ from service.lots.products import find_product
 from service.lots.routes.lots import LotName
 from service.lots.shifts import LotsSettings, shift_at
 from service.lots.stones import Choice, StoneBehindStep, stones_behind, versions_of_lot
-from service.lots.yardsticks import Request, yardstick_of
+from service.lots.yardsticks import Request, percents_in, yardstick_of
 from service.web.auth import READABLE
 from service.web.context import ApiContext, Context
 from service.web.problems import existing, problem_responses
@@ -93,11 +94,25 @@ def choice_of(
 
 
 Measuring = Annotated[Request, Depends(request_of)]
+
+
+def figures_request_of(
+    measuring: Measuring,
+    quantiles: Annotated[
+        str | None,
+        Query(max_length=200, description="Sizes D_p to give, in the place of the product's: `5,16,84,95`"),
+    ] = None,
+) -> Request:
+    """Return the yardsticks of a request for figures; raise `UnknownYardstickError` for percents that are none."""
+    return measuring if quantiles is None else replace(measuring, percents=percents_in(quantiles))
+
+
+Figuring = Annotated[Request, Depends(figures_request_of)]
 Choosing = Annotated[Choice, Depends(choice_of)]
 
 
 @router.get("/{lot}/gradation", response_model=LotFigures)
-async def gradation(context: Context, lot: LotName, measuring: Measuring, choosing: Choosing) -> Response:
+async def gradation(context: Context, lot: LotName, measuring: Figuring, choosing: Choosing) -> Response:
     """Get the gradation of a lot: through the sieves and specification of its product, or through any other.
 
     `without` and `algorithm_version` ask what they would be of other stones; the document repeats what was asked.
@@ -140,7 +155,7 @@ async def particles_behind_step(
 
 @windows.get("/current", response_model=LotFigures, responses=problem_responses(404))
 async def current_window(
-    context: Context, measuring: Measuring, minutes: Minutes = 60.0, product: ProductId = None
+    context: Context, measuring: Figuring, minutes: Minutes = 60.0, product: ProductId = None
 ) -> Response:
     """Get the figures of the last minutes: of all that fell, in any lot or in none."""
     return await _figures(context, *last_minutes(minutes), product, measuring)
@@ -149,7 +164,7 @@ async def current_window(
 @windows.get("/shift", response_model=LotFigures, responses=problem_responses(404))
 async def shift(
     context: Context,
-    measuring: Measuring,
+    measuring: Figuring,
     ago: Annotated[int, Query(ge=0, le=1000, description="0: the present shift, 1: the one before")] = 0,
     product: ProductId = None,
 ) -> Response:

@@ -9,7 +9,7 @@ from fastapi import Request as HttpRequest
 from service.base.ids import ID
 from service.base.language import Language
 from service.lots.lots import find_lot
-from service.lots.routes.lot_figures import Choosing, Measuring, Minutes, ProductId, last_minutes
+from service.lots.routes.lot_figures import Choosing, Figuring, Measuring, Minutes, ProductId, last_minutes
 from service.lots.routes.lots import LotName
 from service.lots.yardsticks import Request
 from service.reports.lot_reports import (
@@ -48,7 +48,7 @@ async def report(
     context: Context,
     asked: HttpRequest,
     lot: LotName,
-    measuring: Measuring,
+    measuring: Figuring,
     language: ReportLanguage = Language.ENGLISH,
 ) -> Response:
     """Get the report of a lot: in the format that `Accept` prefers, HTML, PDF, CSV or XLSX."""
@@ -60,7 +60,7 @@ async def report_file(
     context: Context,
     lot: LotName,
     report_format: Annotated[ReportFormat, Path(description="Format of the file")],
-    measuring: Measuring,
+    measuring: Figuring,
     language: ReportLanguage = Language.ENGLISH,
     revision: Annotated[
         int | None,
