@@ -95,11 +95,16 @@ def interpolated_mm(passing: Mapping[float, float], percent: float) -> float | N
 
 def exact_mm(lot: Lot, percent: float) -> float | None:
     """Return the size of the stone of a canonical lot with which `percent` of the mass is reached."""
-    if not lot.n_measured:
-        return None
-    shares = np.cumsum(lot.column("volume_mm3"))
+    return (
+        value_at(lot.column("sieve_size_mm"), lot.column("volume_mm3"), percent) if lot.n_measured else None
+    )
+
+
+def value_at(values: Values, weights: Values, percent: float) -> float:
+    """Return the value of some, one or more, rising ones with which `percent` of their weights is reached."""
+    shares = np.cumsum(weights)
     index = np.searchsorted(shares, percent / 100 * shares[-1])
-    return float(lot.column("sieve_size_mm")[min(int(index), len(shares) - 1)])
+    return float(values[min(int(index), len(shares) - 1)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,6 +123,22 @@ class SizeQuantile:
     size_mm: Estimate
     log_influence: Values  # by how much each stone moves ln D_p
     log_errors: Errors
+
+
+def quantile_estimate(
+    share: Estimate, value: float, interval: tuple[float, float], errors: Errors
+) -> Estimate:
+    """Return the estimate of a quantile from that of the share up to it."""
+    return replace(
+        share,
+        value=value,
+        low=min(interval[0], value),
+        high=max(interval[1], value),
+        standard_error=errors.joined,
+        sampling_se=errors.sampling,
+        measuring_se=errors.measuring,
+        systematic_se=errors.systematic,
+    )
 
 
 def quantile(
@@ -140,20 +161,10 @@ def quantile(
     low_mm, high_mm = min(low_mm, size_mm), max(high_mm, size_mm)
     log_per_percent = log(high_mm / low_mm) / (passing.high - passing.low)
     log_errors = passing.errors.times(log_per_percent)
-    in_mm = log_errors.times(size_mm)
     has, volumes = passes(size_mm)(sample.lot).has, sample.lot.column("volume_mm3")
     parts = volumes / volumes.sum()
     return SizeQuantile(
-        size_mm=replace(
-            passing,
-            value=size_mm,
-            low=low_mm,
-            high=high_mm,
-            standard_error=in_mm.joined,
-            sampling_se=in_mm.sampling,
-            measuring_se=in_mm.measuring,
-            systematic_se=in_mm.systematic,
-        ),
+        size_mm=quantile_estimate(passing, size_mm, (low_mm, high_mm), log_errors.times(size_mm)),
         log_influence=-100 * log_per_percent * parts * (has - float(parts @ has)),
         log_errors=log_errors,
     )

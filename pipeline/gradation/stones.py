@@ -42,6 +42,11 @@ class Stone:
     volume_sd: float = 0.0  # relative
     sieve_size_sd_mm: float = 0.0
     feret_sd_mm: float = 0.0  # of the two Ferets and of length, width and thickness
+    elongation_ratio: float = UNKNOWN
+    flatness_ratio: float = UNKNOWN
+    sphericity: float = UNKNOWN
+    convexity: float = UNKNOWN
+    angularity: float = UNKNOWN
     quality: str = "good"
 
     def __post_init__(self) -> None:

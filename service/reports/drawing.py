@@ -20,6 +20,7 @@ class Style(StrEnum):
     ENVELOPE = "envelope"
     LIMIT = "limit"
     BAND = "band"
+    BAR = "bar"
     CURVE = "curve"
     LABORATORY = "laboratory"
     BESIDE = "beside"
@@ -88,6 +89,7 @@ RULES = """\
 .sf-curve .envelope{{fill:{envelope};opacity:.75}}
 .sf-curve .limit{{fill:none;stroke:{limit};stroke-width:1.6}}
 .sf-curve .band{{fill:{curve};opacity:.28}}
+.sf-curve .bar{{fill:{curve};opacity:.55}}
 .sf-curve polyline.curve{{fill:none;stroke:{curve};stroke-width:2;stroke-linejoin:round}}
 .sf-curve polyline.laboratory{{fill:none;stroke:{laboratory};stroke-width:1.6;stroke-dasharray:6 4}}
 .sf-curve polygon.laboratory{{fill:{laboratory}}}

@@ -232,14 +232,14 @@ class Result(BaseModel):
     """Diameter of the sphere of `volume_mm3`: (6 V / pi)^(1/3), mm"""
     equivalent_diameter_raw_mm: Number = None
     """Diameter of the sphere of `volume_raw_mm3`, mm"""
-    sphericity: Number = None
-    convexity: Number = None
-    elongation_ratio: Number = None
-    flatness_ratio: Number = None
+    sphericity: Indexed[Number] = None
+    convexity: Indexed[Number] = None
+    elongation_ratio: Indexed[Number] = None
+    flatness_ratio: Indexed[Number] = None
     zingg_class: Indexed[Text] = None
     krumbein: Number = None
     corey: Number = None
-    angularity: Number = None
+    angularity: Indexed[Number] = None
     """Gradient angularity after AASHTO T 381, with squares: the sum over 180 points of an outline of the
     squared change of its direction, degrees², / 59; mean over the views, 0..10000. A circle has 110, a square
     1115. Not comparable with values of an AIMS device"""

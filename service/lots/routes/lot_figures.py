@@ -10,6 +10,7 @@ from pydantic import BaseModel, Field
 
 from pipeline.frames import rfc3339
 from service.base.ids import ID
+from service.lots.distributions import LotDistributions, lot_distributions
 from service.lots.evaluation import as_json, lot_figures, window_figures
 from service.lots.figures import LotFigures
 from service.lots.lots import find_lot
@@ -118,6 +119,17 @@ async def gradation(context: Context, lot: LotName, measuring: Figuring, choosin
     `without` and `algorithm_version` ask what they would be of other stones; the document repeats what was asked.
     """
     content = await context.read_beside(as_json, lot_figures, lot, measuring, choosing)
+    return Response(existing(content, "lot", lot), media_type="application/json")
+
+
+@router.get("/{lot}/distributions", response_model=LotDistributions)
+async def distributions(context: Context, lot: LotName, choosing: Choosing) -> Response:
+    """Get the distributions of shape over a lot: b/a, c/b, sphericity, convexity, angularity, by mass and by number.
+
+    The measures are those of a result. Each has its mean, its 10th, 50th and 90th percentile with 95 % intervals, and
+    the share of each class.
+    """
+    content = await context.read_beside(as_json, lot_distributions, lot, choosing)
     return Response(existing(content, "lot", lot), media_type="application/json")
 
 

@@ -6,12 +6,14 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Path, Query, Response
 from fastapi import Request as HttpRequest
 
+from pipeline.gradation.distributions import ShapeMeasure
 from service.base.ids import ID
 from service.base.language import Language
 from service.lots.lots import find_lot
 from service.lots.routes.lot_figures import Choosing, Figuring, Measuring, Minutes, ProductId, last_minutes
 from service.lots.routes.lots import LotName
 from service.lots.yardsticks import Request
+from service.reports.distribution import stored_distribution_svg
 from service.reports.lot_reports import (
     CurveRequest,
     ReportRequest,
@@ -138,6 +140,20 @@ async def lot_curve(
     shows.
     """
     text = await shared(context, lot_curve_svg, lot, choosing, wanted, keep_s=KEEP_S)
+    return svg_answer(asked, existing(text, "lot", lot))
+
+
+@router.get("/lots/{lot}/distributions/{measure}.svg", response_class=Response, responses=SVG)
+async def lot_distribution(
+    context: Context,
+    asked: HttpRequest,
+    lot: LotName,
+    measure: Annotated[ShapeMeasure, Path(description="Field of a result")],
+    choosing: Choosing,
+    language: DrawingLanguage = Language.ENGLISH,
+) -> Response:
+    """Draw the distribution of a measure of shape over a lot, by mass."""
+    text = await shared(context, stored_distribution_svg, lot, choosing, measure, language, keep_s=KEEP_S)
     return svg_answer(asked, existing(text, "lot", lot))
 
 

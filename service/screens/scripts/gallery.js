@@ -2,9 +2,9 @@
 
 import { get, getText } from "./api.js";
 import { latestOnly } from "./asking.js";
-import { byId, html, setText, show } from "./dom.js";
+import { byId, html, setText, show, svgFromServer } from "./dom.js";
 import { showProblem, startPage } from "./header.js";
-import { showFigures, showSteps } from "./lot_figures.js";
+import { showDistributions, showFigures, showSteps } from "./lot_figures.js";
 import { COVERAGE } from "./measures.js";
 import { markOut, tile } from "./tiles.js";
 import { language, number, sieve, word } from "./words.js";
@@ -24,7 +24,7 @@ document.title = `${word("gallery.title")} – stonefall`;
 
 let asked = new URLSearchParams(location.search);
 let listed = null, cursor = null; // what is listed, and where the next page of it begins
-const latestFigures = latestOnly(), latestStones = latestOnly();
+const latestFigures = latestOnly(), latestStones = latestOnly(), latestShape = latestOnly();
 const form = byId("filters");
 await fillChoices();
 form.addEventListener("change", () => go(fromForm()));
@@ -36,6 +36,7 @@ form.addEventListener("reset", (event) => {
   go(new URLSearchParams());
 });
 byId("more").addEventListener("click", showMore);
+byId("measure").addEventListener("change", () => showShape().catch(showProblem));
 const nearEnd = new IntersectionObserver((entries) => {
   if (entries.some(({ isIntersecting }) => isIntersecting) && !byId("more").disabled) showMore();
 }, { rootMargin: "400px" });
@@ -129,6 +130,20 @@ async function showLot() {
   showSteps(byId("curve"), drawing, fewer ?? all, sieveMm, (chosenMm) => go(withChoice("sieve", chosenMm === sieveMm ? null : chosenMm)));
   showFigures(byId("figures"), all, fewer, sieveMm);
   if (out.length > 0) byId("figures").append(takenOut(out));
+  await showShape();
+}
+
+/** Show the distributions of shape over the chosen lot, one of them as a drawing. */
+async function showShape() {
+  const without = asked.getAll("without").map((id) => ["without", id]);
+  const measure = byId("measure").value || "elongation_ratio";
+  const [{ items }, drawing] = await latestShape(Promise.all([
+    get(`${lotPath()}/distributions?${new URLSearchParams(without)}`),
+    getText(`${lotPath()}/distributions/${measure}.svg?${new URLSearchParams([["language", language()], ...without])}`),
+  ]));
+  show(byId("measure"), items.map((each) => html.option({ value: each.measure, selected: each.measure === measure }, word(`measure.${each.measure}`))));
+  show(byId("distribution"), svgFromServer(drawing));
+  showDistributions(byId("distributions"), items);
 }
 
 /** Return what is asked for with one of two ways to choose among the stones of a lot, or none of them. */

@@ -1,6 +1,7 @@
 /** A lot's curve, whose steps can be chosen, and its figures, also as they would be had some stones not fallen. */
 
 import { figureCell, html, rowHead, show, svgFromServer, table } from "./dom.js";
+import { digitsOf } from "./measures.js";
 import { family, number, quantity, sieve, word } from "./words.js";
 
 /**
@@ -27,6 +28,15 @@ export function showSteps(place, text, { curve }, chosenMm, choose) {
   const focused = document.activeElement?.closest?.("[data-sieve]")?.dataset.sieve;
   show(place, html.div({ class: "curve-with-steps" }, drawing, buttons));
   if (focused) buttons.find(({ dataset }) => dataset.sieve === focused)?.focus();
+}
+
+/** Show the percentiles by mass of each measure of shape, with the number of stones that have it. */
+export function showDistributions(place, items) {
+  const heads = [html.td(), ...items[0].quantiles.map(({ percent }) => word("gallery.percentile", { percent })), word("gallery.measured")];
+  const rows = items.map(({ measure, quantiles, n_stones: n }) => {
+    return [rowHead(word(`measure.${measure}`)), ...quantiles.map(({ value }) => cell(value, value, "", digitsOf(measure), 0)), number(n)];
+  });
+  show(place, table({}, heads, rows, [1, 2, 3, 4]), html.p({ class: "note" }, word("gallery.shape-help")));
 }
 
 /** Show the figures; `without` are those without the stones that were taken out, null while there are none. */

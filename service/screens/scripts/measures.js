@@ -28,6 +28,9 @@ const DETAILS = {
   angularity: { digits: 0 },
 };
 
+/** Return the digits after the point of a measure. */
+export const digitsOf = (name) => DETAILS[name]?.digits ?? 3;
+
 /** Return the table of a stone's numbers; `schema`, of `Result` in the interface's description, explains them. */
 export function measuresTable(stone, schema = {}) {
   const heads = ["measure", "value", "uncertainty", "standard"].map((key) => word(`passport.column-${key}`));
@@ -36,7 +39,7 @@ export function measuresTable(stone, schema = {}) {
 }
 
 function row(name, stone, schema) {
-  const { unit = "", digits = 3, uncertainty, isByHand = false, value = (stone) => stone[name], text } = DETAILS[name] ?? {};
+  const { unit = "", digits = digitsOf(name), uncertainty, isByHand = false, value = (stone) => stone[name], text } = DETAILS[name] ?? {};
   const expanded = uncertainty?.(stone);
   const cells = [
     html.th({ scope: "row", title: schema.properties?.[name]?.description }, word(`measure.${name}`)),
