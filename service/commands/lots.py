@@ -1,6 +1,7 @@
 """`stonefall lots`: products and lots of a running daemon, as a client of its REST interface."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,6 +18,9 @@ from service.commands.laboratory import correlations, sieving, sievings
 from service.commands.options import SizeOptions, with_options
 
 FORMATS = ("html", "pdf", "csv", "xlsx")
+STONE_FORMATS = ("csv", "parquet")
+STONES_TIMEOUT_S = 600.0
+"""A hundred thousand stones are made in a minute or more, beside the measuring."""
 OPEN = ("insufficient", "undecided")
 """Verdicts that more stones may decide. No enumeration is imported: answers are words of the REST contract."""
 
@@ -182,9 +186,7 @@ def report(
     daemon: DaemonClient,
 ) -> None:
     """Write the report of a lot."""
-    kind = out.suffix.removeprefix(".")
-    if kind not in FORMATS:
-        raise UsageError(f"--out {out}: must end with .{', .'.join(FORMATS)}")
+    kind = _ending(out, FORMATS)
     content = daemon.fetch(f"/lots/{quote(lot)}/report.{kind}?{urlencode({'language': language})}")
     write_file(out, content)
     typer.echo(f"{out}: {len(content) / 1e3:.0f} kB")
@@ -230,6 +232,34 @@ def control_table(charts: list[dict[str, Any]]) -> Table:
         texts = ("-" if value is None else f"{value:.2f}" for value in shown)
         table.add_row(chart["figure"], str(len(counted)), *texts)
     return table
+
+
+@command.command()
+@with_options
+def stones(
+    lot: Lot,
+    out: Annotated[
+        Path, typer.Option(help=f"File to write; its ending is one of {', '.join(STONE_FORMATS)}.")
+    ],
+    language: Annotated[
+        str | None, typer.Option(help="Of the spreadsheet that shall read the CSV: en or de.")
+    ] = None,
+    *,
+    daemon: DaemonClient,
+) -> None:
+    """Write all stones of a lot, with all fields of their results."""
+    kind = _ending(out, STONE_FORMATS)
+    query = urlencode({"language": language}) if language and kind == "csv" else ""
+    content = daemon.fetch(f"/lots/{quote(lot)}/stones.{kind}?{query}", timeout_s=STONES_TIMEOUT_S)
+    write_file(out, content)
+    typer.echo(f"{out}: {len(content) / 1e3:.0f} kB")
+
+
+def _ending(out: Path, formats: Sequence[str]) -> str:
+    kind = out.suffix.removeprefix(".")
+    if kind not in formats:
+        raise UsageError(f"--out {out}: must end with .{', .'.join(formats)}")
+    return kind
 
 
 def why_open(figures: dict[str, Any]) -> str | None:

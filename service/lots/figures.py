@@ -145,12 +145,6 @@ SHARES: Mapping[str, Callable[[MeasuredRange], Property]] = {
     "shape_percent": is_non_cubical,
 }
 """Indices that are followed over time and compared: each a share of the stones, by the property that it counts."""
-UNITS = {"percent": "%", "mm": "mm", "kg": "kg", "phi": "φ"}
-
-
-def unit_of(name: str) -> str | None:
-    """Return the unit at the end of a figure's name, None for a plain number."""
-    return UNITS.get(name.rpartition("_")[2])
 
 
 def decision_on(figures: LotFigures, index: str) -> Decision | None:

@@ -7,10 +7,11 @@ from pipeline.gradation.d4791 import FlatAndElongated
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.indices import INDICES
 from pipeline.gradation.specification import Decision
-from service.base.csv_text import csv_text
-from service.lots.figures import LotFigures, decision_on, shares_of, unit_of
+from service.base.csv_text import RFC_4180, CsvStyle, csv_text
+from service.lots.figures import LotFigures, decision_on, shares_of
 from service.reports.report import ReportData, Scalar
 from service.reports.words import plain
+from service.results.columns import unit_of
 
 UNCERTAINTY = (
     "low_95",
@@ -38,10 +39,10 @@ class Row:
     decision: Decision | None = None
 
 
-def render_csv(data: ReportData) -> bytes:
-    """Return the report as CSV: UTF-8, commas, decimal points, empty where there is no value."""
+def render_csv(data: ReportData, style: CsvStyle = RFC_4180) -> bytes:
+    """Return the report as CSV: UTF-8, commas and decimal points unless of another style, empty without a value."""
     rows = ([_cell(value) for value in _values(row)] for row in _rows(data))
-    return csv_text([COLUMNS, *rows]).encode("utf-8", "replace")
+    return csv_text([COLUMNS, *rows], style).encode("utf-8", "replace")
 
 
 def _cell(value: Scalar) -> Scalar:

@@ -8,6 +8,7 @@ from importlib import metadata
 from pathlib import Path
 
 from drivers.files.times import utc_now
+from service.base.csv_text import STYLES
 from service.base.language import Language
 from service.lots.evaluation import lot_figures, passing_of, window_figures
 from service.lots.figures import LotFigures
@@ -81,10 +82,14 @@ def lot_report(
     wanted: ReportRequest,
     report_format: ReportFormat,
 ) -> bytes | None:
-    """Return the report of a lot, None if there is none."""
+    """Return the report of a lot, None if there is none; CSV as spreadsheets of the language read it."""
     has_pictures = report_format is ReportFormat.HTML
     data = report_data(connection, particles_dir, lot, wanted, has_pictures=has_pictures)
-    return None if data is None else RENDERERS[report_format](data)
+    if data is None:
+        return None
+    if report_format is ReportFormat.CSV:
+        return render_csv(data, STYLES[wanted.language])
+    return RENDERERS[report_format](data)
 
 
 def issued_report(store_dir: Path, lot: str, revision: int) -> bytes | None:

@@ -6,9 +6,11 @@ from collections.abc import Iterable
 from typing import Any
 
 from pipeline.frames import GateCount
+from service.results.fields import completed
 from service.store.events import HistoryPage
 from service.store.particle_files import revision_folder
 from service.store.particle_filter import ParticleFilter, conditions_of
+from service.store.schema import rows_by_name
 
 Record = dict[str, Any]
 """A result as stored: the fields of `service.results.fields.Result`, and any other key."""
@@ -131,6 +133,25 @@ def particles(
         (*given.values(), limit),
     ).fetchall()
     return [_record(*row) for row in rows]
+
+
+def stones_after(
+    connection: sqlite3.Connection, lot: str, after: int, limit: int
+) -> list[tuple[int, Record]]:
+    """Return the next stones of a lot by the `seq` of their first results, each with its newest record.
+
+    Of a result that was removed the indexed fields are left.
+    """
+    rows = connection.execute(
+        "SELECT * FROM stones WHERE lot = ? AND seq > ? ORDER BY seq LIMIT ?", (lot, after, limit)
+    )
+    indexed = rows_by_name(rows)
+    newest = connection.execute(
+        f"{NEWEST} WHERE seq IN (SELECT value FROM json_each(?))",  # noqa: S608 - constants
+        (json.dumps([row["seq"] for row in indexed]),),
+    )
+    records = {row[0]: completed(_record(*row)) for row in newest}
+    return [(row["seq"], records.get(row["seq"], row)) for row in indexed]
 
 
 def _record(seq: int, text: str, removed: str | None, pin_reason: str | None, lot: str | None) -> Record:

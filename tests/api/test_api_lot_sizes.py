@@ -77,3 +77,20 @@ async def test_reports_print_the_sizes_that_were_asked_for(client: httpx.AsyncCl
         "d2.5_interpolated_mm",
         "d2.5_exact_mm",
     ]
+
+
+async def test_csv_of_a_report_in_german_is_for_a_german_spreadsheet(
+    client: httpx.AsyncClient, lot: str
+) -> None:
+    german, plain = [
+        (await client.get(f"/lots/{lot}/report.csv{query}")).content for query in ("?language=de", "")
+    ]
+    assert german.startswith("\ufeffsection;name;sieve_mm;value;".encode())
+    assert plain.startswith(b"section,name,sieve_mm,value,")
+    rows = [
+        list(csv.DictReader(StringIO(text), delimiter=delimiter))
+        for text, delimiter in ((german.decode("utf-8-sig"), ";"), (plain.decode(), ","))
+    ]
+    d50 = [next(row["value"] for row in each if row["name"] == "d50_exact_mm") for each in rows]
+    assert d50[0] == d50[1].replace(".", ",")
+    assert "," in d50[0]

@@ -1,6 +1,6 @@
 """Routes of products, lots and their figures, the crusher's diary, and the laboratory."""
 
-from service.lots.routes import diary, laboratory, lot_figures, lots, products
+from service.lots.routes import diary, laboratory, lot_figures, lots, products, stone_files
 
 ROUTERS = (
     products.router,
@@ -9,4 +9,5 @@ ROUTERS = (
     lot_figures.windows,
     diary.router,
     laboratory.router,
+    stone_files.router,
 )

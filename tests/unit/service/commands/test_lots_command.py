@@ -1,5 +1,6 @@
 """`stonefall lots` prints what a daemon answers."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -7,6 +8,7 @@ from support.lot_figures import decision, lot_figures
 from typer.testing import CliRunner
 
 from pipeline.gradation.specification import Verdict
+from service.base.errors import UsageError
 from service.commands.cli import build_app
 from service.commands.daemon_client import DaemonClient
 from service.commands.lots import why_open
@@ -68,3 +70,26 @@ def test_control_charts_are_a_table_with_what_is_out_of_control(monkeypatch: pyt
     assert "│ d50_mm │ 2 │ 12.40 │ 10.50 │ 11.25 │ 12.00 │ 11.30 │ - │ - │" in rows
     assert "d50_mm: lot L2: beyond_limits, ewma" in done.output
     assert "drifting: d50_mm" in done.output
+
+
+@pytest.mark.parametrize(
+    ("name", "asked"),
+    [
+        ("a.csv", "/lots/L%201/stones.csv?language=de"),
+        ("a.parquet", "/lots/L%201/stones.parquet?"),
+        ("a.xlsx", None),
+    ],
+)
+def test_the_stones_of_a_lot_are_written(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str, asked: str | None
+) -> None:
+    addresses: list[str] = []
+    monkeypatch.setattr(DaemonClient, "fetch", lambda _, path, **__: addresses.append(path) or b"content")
+    given = ["lots", "stones", "L 1", "--out", str(tmp_path / name), "--language", "de"]
+    done = CliRunner().invoke(build_app(["lots"]), given)
+    assert addresses == ([] if asked is None else [asked])
+    if asked is None:
+        assert isinstance(done.exception, UsageError)
+        assert "must end with .csv, .parquet" in str(done.exception)
+    else:
+        assert (done.exit_code, (tmp_path / name).read_bytes()) == (0, b"content")
