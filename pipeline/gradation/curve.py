@@ -52,12 +52,16 @@ def curve_of(
 
 def passing_percent(sample: Sample, sieve_mm: float) -> Estimate:
     """Return the passing by mass; stones that might have fallen are as large as the sieve, at most as the largest."""
-    volumes, sizes_mm = sample.lot.column("volume_mm3"), sample.lot.column("sieve_size_mm")
-    if not len(volumes):
+    if not sample.lot.n_measured:
         return NOT_MEASURED
+    return share_percent(sample, passes(sieve_mm), unseen_weight=unseen_at(sample, sieve_mm))
+
+
+def unseen_at(sample: Sample, sieve_mm: float) -> float:
+    """Return the volume of a stone that might have fallen, as large as a sieve, at most as the largest, mm³."""
+    volumes, sizes_mm = sample.lot.column("volume_mm3"), sample.lot.column("sieve_size_mm")
     unseen_mm = min(sieve_mm, float(sizes_mm.max()))
-    unseen_mm3 = float(np.mean(volumes / sizes_mm**3)) * unseen_mm**3
-    return share_percent(sample, passes(sieve_mm), unseen_weight=unseen_mm3)
+    return float(np.mean(volumes / sizes_mm**3)) * unseen_mm**3
 
 
 def influence(lot: Lot, sieve_mm: float) -> Values:

@@ -95,6 +95,18 @@ class Chances(NamedTuple):
         return uncertain + (weight_sds * self.scatter(share)) ** 2
 
 
+class Share(NamedTuple):
+    """A share, 0..1, with its errors, its interval, and what that is made of."""
+
+    value: float
+    errors: Errors
+    interval: tuple[float, float]
+    interval_errors: Errors  # those of stones that happened not to fall included
+    reach: float  # of the interval to either side of its centre, in all of these errors
+    n_stones: int
+    n_effective: float
+
+
 Property = Callable[[Lot], Chances]
 """What a share is the share of; without errors of measuring its chances are 0 and 1."""
 
@@ -135,10 +147,33 @@ def weighted_share_percent(
     min_stones: int = 0,
 ) -> Estimate:
     """Return such a share where each stone has a weight of its own, with a relative standard deviation."""
+    share = share_of(sample, property_, weights, weight_sds, unseen_weight=unseen_weight)
+    if share is None:
+        return NOT_MEASURED
+    low, high = share.interval
+    return estimate(
+        100 * share.value,
+        (100 * low, 100 * high),
+        share.errors.times(100),
+        share.n_stones,
+        share.n_effective,
+        min_stones,
+    )
+
+
+def share_of(
+    sample: Sample,
+    property_: Property,
+    weights: Values,
+    weight_sds: Values,
+    *,
+    unseen_weight: float | None = None,
+) -> Share | None:
+    """Return the share of the stones that have a property, None if no stone counts."""
     as_measured, chances = property_(sample.as_measured), property_(sample.lot)
     total, n_stones = float(np.sum(weights * as_measured.counts)), int(as_measured.counts.sum())
     if not n_stones:
-        return NOT_MEASURED
+        return None
     value, n_effective = as_measured.share(weights), effective_number(weights * as_measured.counts)
     mean, parts = chances.share(weights), weights / total
     errors = Errors(
@@ -147,10 +182,8 @@ def weighted_share_percent(
         systematic=_systematic(lambda lot: property_(lot).share(weights), sample),
     )
     unseen_part = 1 / n_effective if unseen_weight is None else unseen_weight / total
-    low, high = _interval(value, chances, parts, weight_sds, unseen_part, errors.systematic, n_effective)
-    return estimate(
-        100 * value, (100 * low, 100 * high), errors.times(100), n_stones, n_effective, min_stones
-    )
+    found = _interval(value, chances, parts, weight_sds, unseen_part, errors.systematic, n_effective)
+    return Share(value, errors, *found, n_stones, n_effective)
 
 
 def _interval(
@@ -161,8 +194,8 @@ def _interval(
     unseen_part: float,
     systematic: float,
     n_effective: float,
-) -> tuple[float, float]:
-    """Return the interval of a share, 0..1: Agresti and Coull's, with weights.
+) -> tuple[tuple[float, float], Errors, float]:
+    """Return the interval of a share, 0..1, with its errors and Student's t: Agresti and Coull's, with weights.
 
     It is as if two more stones with the property and two without it had fallen. So it has a width where all stones or
     none have the property, and covers the heavy ones that happened not to fall. A stone counts for what its absence
@@ -174,13 +207,16 @@ def _interval(
     larger = 1 + 2 * n_unseen * unseen_part
     centre, parts = (value + n_unseen * unseen_part) / larger, parts / larger
     scatter, open_variance = chances.scatter(centre), chances.open_variance(centre, weight_sds)
-    seen = (parts / (1 - parts) * scatter) ** 2 + parts**2 * open_variance
+    sampled, measured = (parts / (1 - parts) * scatter) ** 2, parts**2 * open_variance
+    seen = sampled + measured
     unseen = (unseen_part / larger) ** 2 * np.array([centre**2, (1 - centre) ** 2])
     variance = float(seen.sum() + n_unseen * unseen.sum())
     satterthwaite = variance**2 / float(np.sum(seen**2) + n_unseen * np.sum(unseen**2))
     reach = standard_errors_to_either_end(sqrt(n_effective * satterthwaite))
     half = reach * hypot(sqrt(variance), systematic)
-    return min(max(centre - half, 0.0), value), max(min(centre + half, 1.0), value)
+    interval = min(max(centre - half, 0.0), value), max(min(centre + half, 1.0), value)
+    by_sampling = sqrt(float(sampled.sum() + n_unseen * unseen.sum()))
+    return interval, Errors(by_sampling, sqrt(float(measured.sum())), systematic), reach
 
 
 def ratio_of_sums(sample: Sample, terms: Callable[[Lot], tuple[Values, Values]]) -> Estimate:

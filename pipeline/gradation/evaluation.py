@@ -3,6 +3,7 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+from pipeline.gradation.budget import UncertaintyBudget, budgets_of
 from pipeline.gradation.curve import (
     PERCENTS,
     CurvePoint,
@@ -37,6 +38,7 @@ class Gradation:
     quantiles_interpolated_mm: Mapping[float, Estimate]  # D10...D90 by percent: log-linear between the sieves
     quantiles_exact_mm: Mapping[float, Estimate]  # the same from the stones themselves
     indices: ShapeIndices
+    budgets: Sequence[UncertaintyBudget]
     unmeasured: Unmeasured
     measured: MeasuredRange
     scale_sd: float
@@ -88,6 +90,7 @@ def evaluate(
         quantiles_interpolated_mm=_sizes(interpolated, percents),
         quantiles_exact_mm=_sizes(exact, percents),
         indices=indices_of(sample, exact, fractions, apertures_mm, measured),
+        budgets=tuple(budgets_of(sample, exact[50], fractions, measured)),
         unmeasured=unmeasured_mass(lot, measured.max_mm),
         measured=measured,
         scale_sd=scale_sd,

@@ -145,6 +145,7 @@ def figures_of(
         verdict=None if judgement is None else judgement.verdict,
         is_partial=judgement is not None and judgement.is_partial,
         countdown=None if judgement is None else countdown(judgement),
+        uncertainty=list(gradation.budgets),
         unmeasured=gradation.unmeasured,
         least_portion_kg=None
         if upper_mm is None

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, PlainSerializer, WithJsonSchema
 
+from pipeline.gradation.budget import UncertaintyBudget
 from pipeline.gradation.d4791 import DIMENSIONS, FlatAndElongated
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.estimators import Property
@@ -107,6 +108,9 @@ class LotFigures(LotOutcome):
     flakiness_decision: Decision | None = Field(description="Verdict on FI (EN 933-3); null without limits")
     shape_decision: Decision | None = Field(description="Verdict on SI (EN 933-4); null without limits")
     countdown: str | None = Field(description="What is decided and what is not, in words")
+    uncertainty: list[UncertaintyBudget] = Field(
+        default=[], description="Budgets of D50, FI and SI, as far as they were measured"
+    )
     unmeasured: Unmeasured = Field(description="What fell and is in no figure")
     least_portion_kg: float | None = Field(description="Least test portion of EN 933-1 for D; null without D")
     scale_sd_percent: float = Field(description="Standard deviation of all lengths, by the calibration")

@@ -6,6 +6,7 @@ from pipeline.gradation.specification import Decision, Verdict
 from pipeline.gradation.stones import Fate
 from service.lots.figures import LotFigures
 from service.lots.lots import LotDocument, LotState
+from service.reports.budget import budget
 from service.reports.document import (
     DASH,
     Block,
@@ -302,7 +303,7 @@ def uncertainty(data: ReportData, say: Words) -> Section:
         notes.append(Note(say("uncertainty.general", source=abridged(figures.specification_source or DASH))))
     if data.uncertainty_remark:
         notes.append(Note(abridged(data.uncertainty_remark, 2000)))
-    return Section(say("uncertainty.title"), notes)
+    return Section(say("uncertainty.title"), (*notes, *budget(figures, say)))
 
 
 def gallery(stones: Sequence[GalleryStone], say: Words) -> Section:

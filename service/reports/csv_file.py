@@ -69,6 +69,10 @@ def _rows(data: ReportData) -> Iterator[Row]:
     yield from _lot_rows(data.figures)
     yield from _curve_rows(data.figures)
     yield from _index_rows(data.figures)
+    for budget in data.figures.uncertainty:
+        for name in ("sampling", "instrument", "scale", "combined", "coverage_factor", "expanded"):
+            unit = None if name == "coverage_factor" else unit_of(budget.figure)
+            yield Row("uncertainty", f"{budget.figure} {name}", getattr(budget, name), unit)
     yield from _laboratory_rows(data)
     yield from accounting_rows(data.figures)
     yield from _about_rows(data)

@@ -94,3 +94,15 @@ async def test_csv_of_a_report_in_german_is_for_a_german_spreadsheet(
     d50 = [next(row["value"] for row in each if row["name"] == "d50_exact_mm") for each in rows]
     assert d50[0] == d50[1].replace(".", ",")
     assert "," in d50[0]
+
+
+async def test_the_uncertainty_of_the_main_figures_has_a_budget(client: httpx.AsyncClient, lot: str) -> None:
+    figures = (await client.get(f"/lots/{lot}/gradation?quantiles=5")).json()
+    budgets = {each["figure"]: each for each in figures["uncertainty"]}
+    assert list(budgets) == ["d50_mm", "flakiness_percent", "shape_percent"], "D50 whatever is asked for"
+    assert budgets["d50_mm"]["value"] == pytest.approx(13)
+    for each in budgets.values():
+        squares = each["sampling"] ** 2 + each["instrument"] ** 2 + each["scale"] ** 2
+        assert each["combined"] ** 2 == pytest.approx(squares)
+        assert each["expanded"] == pytest.approx(each["coverage_factor"] * each["combined"])
+    assert 0 < budgets["d50_mm"]["scale"] < budgets["d50_mm"]["sampling"]

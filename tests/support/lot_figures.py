@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from pipeline.gradation.budget import UncertaintyBudget
 from pipeline.gradation.d4791 import FlatAndElongated, FlatAndElongatedFraction
 from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.indices import INDICES, ShapeIndices
@@ -46,6 +47,21 @@ def measured(value: float, standard_error: float = 1.0, state: State = State.MEA
         measuring_se=0.3 * standard_error,
         systematic_se=0.3 * standard_error,
         n_effective=640.0,
+    )
+
+
+def budget(figure: str, value: float, combined: float) -> UncertaintyBudget:
+    """The budget of a figure, most of it sampling."""
+    return UncertaintyBudget(
+        figure=figure,
+        value=value,
+        sampling=0.9 * combined,
+        instrument=0.4 * combined,
+        scale=0.1732 * combined,
+        combined=combined,
+        coverage_factor=2.0,
+        expanded=2 * combined,
+        interval_factor=1.97,
     )
 
 
@@ -192,6 +208,11 @@ def lot_figures(**changes: Any) -> LotFigures:
                 CorrelatedStep(sieve_mm=size_mm, passing_percent=measured(50.0)) for size_mm in (8.0, 10.0)
             ],
         ),
+        "uncertainty": [
+            budget("d50_mm", 12.0, 0.14),
+            budget("flakiness_percent", 12.4, 1.3),
+            budget("shape_percent", 18.9, 1.6),
+        ],
         "quantiles": [
             Quantile(
                 percent=percent,

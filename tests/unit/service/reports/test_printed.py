@@ -445,3 +445,21 @@ def test_all_that_conforms_says_so() -> None:
     document = document_of(report_data(figures))
     assert document.verdict_title == "Conforms"
     assert document.verdict_lines == ("All 5 figures with limits conform: their 95 % intervals lie inside.",)
+
+
+@pytest.mark.parametrize(
+    ("language", "said"),
+    [
+        (
+            Language.ENGLISH,
+            "coverage factor k = 2 for a level of confidence of about 95 %: D50 = 12.00 mm ± 0.28 mm",
+        ),
+        (Language.GERMAN, "für eine Überdeckungswahrscheinlichkeit von etwa 95 %: D50 = 12,00 mm ± 0,28 mm"),
+    ],
+)
+def test_the_uncertainty_is_stated_with_its_budget(language: Language, said: str) -> None:
+    html = render_html(report_data(language=language)).decode()
+    assert said in html
+    assert "JCGM 100:2008" in html
+    without = render_html(report_data({"uncertainty": []}, language=language)).decode()
+    assert "JCGM" not in without

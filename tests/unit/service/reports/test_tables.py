@@ -143,3 +143,13 @@ def test_a_german_workbook_has_german_sheets() -> None:
 def test_what_is_no_number_leaves_its_cell_empty() -> None:
     found = sheets(report_data({"mass_kg": float("nan"), "least_portion_kg": None}))["Accounting"]
     assert found[-2:] == [["Measured mass, kg"], ["Least test portion (EN 933-1), kg"]]
+
+
+def test_csv_has_the_budget_of_each_figure() -> None:
+    rows = {row["name"]: row for row in table(report_data()) if row["section"] == "uncertainty"}
+    assert (rows["d50_mm expanded"]["value"], rows["d50_mm expanded"]["unit"]) == ("0.28", "mm")
+    assert (rows["d50_mm coverage_factor"]["value"], rows["d50_mm coverage_factor"]["unit"]) == ("2.0", "")
+    squares = sum(
+        float(rows[f"shape_percent {name}"]["value"]) ** 2 for name in ("sampling", "instrument", "scale")
+    )
+    assert squares == pytest.approx(float(rows["shape_percent combined"]["value"]) ** 2, rel=1e-3)

@@ -23,6 +23,7 @@ from service.base.language import Language
 from service.lots.lots import LotState
 from service.lots.trends.changes import ChangedFigure
 from service.lots.trends.diary import DiaryKind
+from service.reports.budget import COLUMNS
 from service.reports.content import lot_section
 from service.reports.plant import PlantSettings
 from service.reports.report import GalleryReason, VerificationOutcome
@@ -46,6 +47,8 @@ FAMILIES = {
     "counted": ["mass", "number"],
     "index": INDICES,
     "decimals": INDICES,
+    "budget": COLUMNS,
+    "budget_of": ["d50_mm", "flakiness_percent", "shape_percent"],
     "measure": ENGLISH.family("measure"),  # which pages list
     "d4791": list(DIMENSIONS),
     "diary_kind": list(DiaryKind),
