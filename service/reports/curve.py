@@ -64,7 +64,7 @@ def gradation_curve(
 ) -> Drawing:
     """Return the curve; `laboratory` is the passing by sieve of a second one, percent, `beside` one of other stones."""
     shown = shown_steps(steps)
-    axes = _Axes([step.sieve_mm for step in shown])
+    axes = Axes([step.sieve_mm for step in shown])
     second = axes.shown(laboratory or {})
     passing = {} if beside is None else beside.passing_percent
     others = axes.shown({size_mm: figure.value for size_mm, figure in passing.items()})
@@ -74,7 +74,7 @@ def gradation_curve(
         title=say("curve.title"),
         description=_description(shown, say) + _description_beside(figures, beside, say),
         shapes=(
-            *_grid(shown, axes, say),
+            *grid(shown, axes, say),
             *_limits(shown, axes),
             *_unmeasured(shown, axes, say),
             *_band(figures, axes, Style.BESIDE_BAND),
@@ -107,7 +107,7 @@ def shown_steps(steps: Sequence[CurveStep]) -> list[CurveStep]:
     return ordered[max(first, 0) : last + 1]
 
 
-class _Axes:
+class Axes:
     """Places of sizes and percents on the paper."""
 
     def __init__(self, sizes_mm: Sequence[float]) -> None:
@@ -151,7 +151,8 @@ def style_of(verdict: Verdict | None) -> Style:
     return Style(verdict.replace("_", "-"))
 
 
-def _grid(shown: Sequence[CurveStep], axes: _Axes, say: Words) -> Iterator[Shape]:
+def grid(shown: Sequence[CurveStep], axes: Axes, say: Words) -> Iterator[Shape]:
+    """Yield the lines of percents and sieves, and the names of both axes."""
     for percent in range(0, 101, 10):
         yield from FIELD.row(axes.y(percent), None if percent % 20 else say.number(percent, 0))
     for x in (axes.x(step.sieve_mm) for step in shown):
@@ -164,7 +165,7 @@ def _grid(shown: Sequence[CurveStep], axes: _Axes, say: Words) -> Iterator[Shape
     yield label((LABEL_SIZE + 4, FIELD.middle[1]), say("curve.passing_axis"), Anchor.MIDDLE, is_turned=True)
 
 
-def _tick_labels(shown: Sequence[CurveStep], axes: _Axes, say: Words) -> list[tuple[float, str]]:
+def _tick_labels(shown: Sequence[CurveStep], axes: Axes, say: Words) -> list[tuple[float, str]]:
     """Return the labels that have room: of the sieves with limits first."""
     placed: list[tuple[float, str]] = []
     for step in sorted(shown, key=lambda step: (step.decision is None, -step.sieve_mm)):
@@ -176,7 +177,7 @@ def _tick_labels(shown: Sequence[CurveStep], axes: _Axes, say: Words) -> list[tu
     return sorted(placed)
 
 
-def _limits(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
+def _limits(shown: Sequence[CurveStep], axes: Axes) -> Iterator[Shape]:
     """Yield the envelope, and at each sieve what the specification itself says: its two limits."""
     limits = [(step.sieve_mm, step.decision.limits) for step in shown if step.decision is not None]
     if len(limits) > 1:
@@ -190,7 +191,7 @@ def _limits(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
             yield line(((x - 6, y), (x + 6, y)), Style.LIMIT)
 
 
-def _unmeasured(shown: Sequence[CurveStep], axes: _Axes, say: Words) -> Iterator[Shape]:
+def _unmeasured(shown: Sequence[CurveStep], axes: Axes, say: Words) -> Iterator[Shape]:
     """Yield a hatched field for each range of sieves without a value, up to the next one with a value."""
     for left, right in unmeasured_ranges(shown, axes.least_mm, axes.greatest_mm):
         x0, x1 = axes.x(left), axes.x(right)
@@ -232,7 +233,7 @@ def _hatching(x0: float, x1: float, top: float, bottom: float) -> Iterator[Shape
         yield line((left, right), Style.HATCH)
 
 
-def _curve(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
+def _curve(shown: Sequence[CurveStep], axes: Axes) -> Iterator[Shape]:
     for has_value, group in groupby(shown, _has_value):
         if not has_value:
             continue
@@ -242,7 +243,7 @@ def _curve(shown: Sequence[CurveStep], axes: _Axes) -> Iterator[Shape]:
         yield line([axes.point(step.sieve_mm, _percent(step)) for step in members], Style.CURVE)
 
 
-def _band(figures: Sequence[tuple[float, Estimate]], axes: _Axes, style: Style) -> Iterator[Shape]:
+def _band(figures: Sequence[tuple[float, Estimate]], axes: Axes, style: Style) -> Iterator[Shape]:
     """Yield the band of the intervals of neighbouring figures, each with its sieve."""
     if len(figures) > 1:
         low = [axes.point(size_mm, figure.low or 0.0) for size_mm, figure in figures]
@@ -250,7 +251,7 @@ def _band(figures: Sequence[tuple[float, Estimate]], axes: _Axes, style: Style) 
         yield area((*high, *reversed(low)), style)
 
 
-def _second_curve(second: Mapping[float, float], axes: _Axes, style: Style) -> Iterator[Shape]:
+def _second_curve(second: Mapping[float, float], axes: Axes, style: Style) -> Iterator[Shape]:
     points = [axes.point(size_mm, percent) for size_mm, percent in second.items()]
     if points:
         yield line(points, style)

@@ -1,9 +1,11 @@
 """How rate, size and shape went over the last hours, as numbers and as drawings."""
 
+from collections.abc import Sequence
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Response
 from fastapi import Request as HttpRequest
+from pydantic import Field
 
 from pipeline.frames import rfc3339
 from service.base.ids import ID
@@ -11,6 +13,7 @@ from service.base.language import Language
 from service.lots.comparing import LotComparison, Side, compare_lots
 from service.lots.evaluation import as_json
 from service.lots.lots import find_lot
+from service.lots.overlay import MAX_LOTS, Overlay, ReferenceKind, overlay
 from service.lots.routes.lot_figures import Measuring, next_second
 from service.lots.routes.products import ProductName
 from service.lots.shifts import LotsSettings
@@ -18,10 +21,11 @@ from service.lots.trends.changes import Changes
 from service.lots.trends.trend import Trend, trend
 from service.reports.changes import told_changes
 from service.reports.control import stored_control_svg
+from service.reports.overlay import stored_overlay_svg
 from service.reports.routes.lot_reports import DrawingLanguage
 from service.reports.trend import TrendFigure, stored_trend_svg
 from service.web.auth import READABLE
-from service.web.context import Context
+from service.web.context import ApiContext, Context
 from service.web.problems import existing, problem_responses
 from service.web.shared_documents import SVG, shared, svg_answer
 
@@ -108,11 +112,59 @@ async def compare(
 
     Each figure comes with its difference, the 95 % interval of that, and whether it is more than chance.
     """
-    for lot in (a, b or a):
-        existing(await context.store.read(find_lot, lot), "lot", lot)
+    await _all_exist(context, (a, b or a))
     sides = Side(a, a_algorithm_version), Side(b or a, b_algorithm_version)
     content = await shared(context, as_json, compare_lots, *sides, measuring, keep_s=KEEP_S)
     return Response(existing(content, "lot", a), media_type="application/json")
+
+
+Overlaid = Annotated[
+    list[Annotated[str, Field(pattern=ID)]],
+    Query(alias="lot", min_length=1, max_length=MAX_LOTS, description="Ids of the lots, `lot=` for each"),
+]
+Banded = Annotated[ReferenceKind | None, Query(description="Band to see them against; none when absent")]
+
+
+@router.get("/comparisons/curves", response_model=Overlay, responses=problem_responses(404), tags=["lots"])
+async def compare_curves(
+    context: Context, measuring: Measuring, lots: Overlaid, reference: Banded = None
+) -> Response:
+    """Get the curves of many lots, twelve at most: at the sieves of the first one's product, or at any others.
+
+    A band can come with them: the limits of the specification, or the product's other closed lots, at most 30 and at
+    least 5, their median with two standard deviations to either side.
+    """
+    await _all_exist(context, lots)
+    content = await shared(
+        context, as_json, overlay, tuple(dict.fromkeys(lots)), reference, measuring, keep_s=KEEP_S
+    )
+    return Response(existing(content, "lot", lots[0]), media_type="application/json")
+
+
+@router.get(
+    "/comparisons/curves.svg",
+    response_class=Response,
+    responses={**SVG, **problem_responses(404)},
+    tags=["lots"],
+)
+async def draw_curves(
+    context: Context,
+    asked: HttpRequest,
+    measuring: Measuring,
+    lots: Overlaid,
+    reference: Banded = None,
+    language: DrawingLanguage = Language.ENGLISH,
+) -> Response:
+    """Draw the curves of many lots, twelve at most, with the band."""
+    await _all_exist(context, lots)
+    given = (stored_overlay_svg, tuple(dict.fromkeys(lots)), reference, measuring, language)
+    text = await shared(context, *given, keep_s=KEEP_S)
+    return svg_answer(asked, existing(text, "lot", lots[0]))
+
+
+async def _all_exist(context: ApiContext, names: Sequence[str]) -> None:
+    for lot in names:
+        existing(await context.store.read(find_lot, lot), "lot", lot)
 
 
 @diary.get("/diary/changes", response_model=Changes)

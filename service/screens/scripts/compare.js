@@ -7,21 +7,33 @@ import { showProblem, startPage } from "./header.js";
 import { language, number, sieve, word, wordOr } from "./words.js";
 
 const SIDES = ["a", "b"];
+const REFERENCES = ["specification", "history"];
+const MOST_OVERLAID = 12;
 
 await startPage();
 document.title = `${word("compare.title")} – stonefall`;
 
-const latest = latestOnly();
+const latest = latestOnly(), latestOverlay = latestOnly();
 const form = byId("choice");
-const chosen = () => new URLSearchParams([...new FormData(form)].filter(([, value]) => value !== ""));
+const overlayForm = byId("overlay-choice");
+const choiceOf = (of) => new URLSearchParams([...new FormData(of)].filter(([, value]) => value !== ""));
+const chosen = () => choiceOf(form);
 const { items: lots } = await get("/lots").catch(() => ({ items: [] }));
-form.addEventListener("submit", (event) => event.preventDefault());
+for (const each of [form, overlayForm]) each.addEventListener("submit", (event) => event.preventDefault());
 form.addEventListener("change", ({ target }) => {
   if (SIDES.includes(target.name)) form.elements[`${target.name}_algorithm_version`].value = "";
-  history.pushState(null, "", `${location.pathname}?${chosen()}`);
+  keepAddress();
   render(chosen()).catch(showProblem);
 });
-const renderAddress = () => render(new URLSearchParams(location.search)).catch(showProblem);
+overlayForm.addEventListener("change", () => {
+  keepAddress();
+  renderOverlay(choiceOf(overlayForm)).catch(showProblem);
+});
+const renderAddress = () => {
+  const asked = new URLSearchParams(location.search);
+  render(asked).catch(showProblem);
+  renderOverlay(asked).catch(showProblem);
+};
 window.addEventListener("popstate", renderAddress);
 renderAddress();
 
@@ -33,6 +45,23 @@ async function render(asked) {
   const [comparison, drawing] = found;
   show(byId("curves"), svgFromServer(drawing));
   showTable(comparison);
+}
+
+function keepAddress() {
+  history.pushState(null, "", `${location.pathname}?${new URLSearchParams([...chosen(), ...choiceOf(overlayForm)])}`);
+}
+
+/** Draw the curves of the chosen lots, with the band that is chosen. */
+async function renderOverlay(asked) {
+  const wanted = asked.getAll("lot").slice(0, MOST_OVERLAID);
+  const names = [...new Set([...lots.map(({ lot }) => lot), ...wanted])];
+  show(byId("overlaid"), names.map((name) => html.option({ value: name, selected: wanted.includes(name) }, name)));
+  const references = REFERENCES.map((each) => [each, word(`compare.reference-${each}`)]);
+  fill(byId("reference"), word("compare.reference-none"), references, asked.get("reference") ?? "");
+  const query = new URLSearchParams([...wanted.map((name) => ["lot", name]), ["language", language()]]);
+  if (asked.get("reference")) query.set("reference", asked.get("reference"));
+  const drawing = await latestOverlay(wanted.length > 0 && getText(`/comparisons/curves.svg?${query}`));
+  show(byId("overlay"), drawing && svgFromServer(drawing));
 }
 
 /** Return the comparison and its drawing, null while a side is not chosen. */

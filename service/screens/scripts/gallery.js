@@ -1,6 +1,6 @@
 /** The gallery: stones by filter, and those behind a step of a lot's curve; the address says what is shown. */
 
-import { get, getText } from "./api.js";
+import { BASE, get, getText } from "./api.js";
 import { latestOnly } from "./asking.js";
 import { byId, html, setText, show, svgFromServer } from "./dom.js";
 import { showProblem, startPage } from "./header.js";
@@ -130,6 +130,8 @@ async function showLot() {
   showSteps(byId("curve"), drawing, fewer ?? all, sieveMm, (chosenMm) => go(withChoice("sieve", chosenMm === sieveMm ? null : chosenMm)));
   showFigures(byId("figures"), all, fewer, sieveMm);
   if (out.length > 0) byId("figures").append(takenOut(out));
+  show(byId("stone-files"), ["csv", "parquet"].map((ending) =>
+    html.a({ class: "button", href: `${BASE}${lotPath()}/stones.${ending}${ending === "csv" ? `?language=${language()}` : ""}`, download: `${lot}-stones.${ending}` }, word(`gallery.stones-${ending}`))));
   await showShape();
 }
 
