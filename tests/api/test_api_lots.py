@@ -700,7 +700,7 @@ async def test_the_report_comes_in_every_format_and_language(
     await opened(client, remark="=1+1 <script>alert(1)</script>")
     await add(store, session, 1, stone(12.0), particle_files(tmp_path / "files"))
     await add(store, session, 2, stone(15.0))
-    begins = {"html": b"<!", "pdf": b"%PDF", "csv": b"section", "xlsx": b"PK"}
+    begins = {"html": b"<!", "pdf": b"%PDF", "csv": "\ufeffsection;".encode(), "xlsx": b"PK"}
     for suffix, begin in begins.items():
         answer = await client.get(f"/lots/L1/report.{suffix}?language=de")
         assert answer.status_code == 200, answer.text
