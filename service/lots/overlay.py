@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.gradation.estimates import Estimate
 from service.base.status import Report
 from service.lots.evaluation import passing_of
-from service.lots.lots import LotState, find_lot, lots
+from service.lots.lots import LotChoice, LotState, find_lot, lots
 from service.lots.products import find_product
 from service.lots.stones import stones_of_lot
 from service.lots.yardsticks import Request, Yardstick, yardstick_of
@@ -140,7 +140,7 @@ def _history(
 ) -> Reference | None:
     """Return the band of the closed lots but those that are shown; None with too few."""
     sieves_mm = [mm for mm in yardstick.apertures_mm if mm in yardstick.measured]
-    closed = lots(connection, LotState.CLOSED, product, None, HISTORY + len(shown), {})
+    closed = lots(connection, LotChoice(state=LotState.CLOSED, product=product), HISTORY + len(shown))
     others = [each.lot for each in closed if each.lot not in shown][:HISTORY]
     passing = np.array(list(_passing_of_lots(connection, others, sieves_mm)))
     if len(passing) < LEAST_HISTORY or not sieves_mm:
