@@ -59,6 +59,8 @@ def gradation(data: ReportData, say: Words) -> Section:
             Picture(gradation_curve(figures.curve, say, laboratory_passing)),
             table,
             Note(say("curve.note")),
+            Note(say("quantiles.note")),
+            _quantiles(figures, say),
         ),
     )
 
@@ -125,12 +127,11 @@ def indices(data: ReportData, say: Words) -> Section:
         ],
         [decision.verdict if decision else None for *_, decision in listed],
     )
-    sizes = (_quantiles(data.figures, say), Note(say("quantiles.note")))
     if not found.flat_and_elongated:
-        return Section(say("indices.title"), (table, *sizes))
+        return Section(say("indices.title"), (table,))
     by_mass, by_number = (_forms(found, by, say) for by in ("mass", "number"))
     on_screen = (by_number, *_size_fractions(found, say))
-    return Section(say("indices.title"), (table, Note(say("d4791.note")), by_mass, *sizes), on_screen)
+    return Section(say("indices.title"), (table, Note(say("d4791.note")), by_mass), on_screen)
 
 
 def _forms(found: ShapeIndices, by: str, say: Words) -> Table:

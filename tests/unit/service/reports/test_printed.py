@@ -259,17 +259,17 @@ def test_the_pdf_has_a_title_a_language_a_date_an_outline_and_texts_for_its_pict
     file = render_pdf(data)
     pdf = PdfReader(BytesIO(file))
     assert pdf.metadata is not None
-    assert pdf.metadata.title == "Korngrößenverteilung der Charge 2026-04711"
+    assert pdf.metadata.title == "Korngrößenverteilung des Loses 2026-04711"
     assert pdf.metadata.creation_date == datetime(2026, 11, 20, 7, 0, 3, tzinfo=UTC)
     assert pdf.root_object["/Lang"] == "de"
-    assert [entry["/Title"] for entry in pdf.outline][:2] == ["Charge", "Korngrößenverteilung"]
+    assert [entry["/Title"] for entry in pdf.outline][:2] == ["Los", "Korngrößenverteilung"]
     assert file.count(b"/Alt") == 1
 
 
 def test_german_has_commas_umlauts_and_no_english_word() -> None:
     data = report_data(language=Language.GERMAN)
     text = page(data).text
-    assert "Korngrößenverteilung der Charge 2026-04711" in text
+    assert "Korngrößenverteilung des Loses 2026-04711" in text
     assert "94,2 92,2 – 96,2" in text
     assert "Nicht verfeinert andere Körner warteten 71, die Pixel zeigten nichts 13" in text
     assert not re.search(r"\b(measured|stones|sieve|conforms|undecided|passing)\b", text, re.IGNORECASE)
