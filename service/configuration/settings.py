@@ -31,10 +31,9 @@ from service.configuration.segmentation_settings import SegmentationSettings, pl
 from service.configuration.volume_models import MeasuringSettings
 from service.delivery.settings import FileDropSettings, WebhooksSettings, delivery_shortcomings
 from service.health.optical_watch import OpticalParameters
+from service.lots.plant import PlantSettings, logo_of
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import RecordingsSettings
-from service.reports.letterhead import logo_of
-from service.reports.plant import PlantSettings
 from service.store import KEEP_RAW
 from service.store.keys import stored_keys
 from service.store.retention import RetentionLimits

@@ -29,6 +29,7 @@ from service.health.optical_watch import OpticalWatch
 from service.health.refinement_watch import RefinementWatch
 from service.health.rig_watch import CameraScore, RigWatch
 from service.health.segmentation_watch import SegmentationWatch
+from service.lots.plant import PlantSettings
 from service.lots.shifts import LotsSettings
 from service.processing.processing import Processing
 from service.processing.spool import Spool
@@ -37,7 +38,6 @@ from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
 from service.reports.lot_reports import RigStanding
-from service.reports.plant import PlantSettings
 from service.reports.report import LastVerification, VerificationOutcome
 from service.results.fields import Verified
 from service.store.checks import free_bytes

@@ -1,9 +1,9 @@
 """The uncertainty statement of a report: expanded uncertainties in a sentence, and the budget behind them."""
 
+from service.base.units import unit_of
 from service.lots.figures import LotFigures
 from service.reports.document import Block, Column, Note, Table
 from service.reports.words import Words
-from service.results.columns import unit_of
 
 DECIMALS = {"d50_mm": 3}
 """Digits after the point, one more than the figure has; others have two."""

@@ -8,10 +8,10 @@ from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.indices import INDICES
 from pipeline.gradation.specification import Decision
 from service.base.csv_text import RFC_4180, CsvStyle, csv_text
+from service.base.units import unit_of
 from service.lots.figures import LotFigures, decision_on, shares_of
 from service.reports.report import ReportData, Scalar
 from service.reports.words import plain
-from service.results.columns import unit_of
 
 UNCERTAINTY = (
     "low_95",

@@ -13,13 +13,12 @@ from service.base.language import Language
 from service.lots.evaluation import lot_figures, passing_of, window_figures
 from service.lots.figures import LotFigures
 from service.lots.laboratory import valid_sievings
+from service.lots.plant import PlantSettings, logo_of
 from service.lots.stones import Choice, stones_of_lot
 from service.lots.yardsticks import Request
 from service.particles.renditions import NotKeptError, preview_png
 from service.reports.csv_file import render_csv
 from service.reports.curve import Beside, curve_svg
-from service.reports.letterhead import logo_of
-from service.reports.plant import PlantSettings
 from service.reports.printed import render_html, render_pdf
 from service.reports.report import GalleryReason, GalleryStone, LastVerification, ReportData, ReportFormat
 from service.reports.words import words

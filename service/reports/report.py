@@ -7,7 +7,7 @@ from enum import StrEnum
 from service.base.language import Language
 from service.lots.figures import LotFigures
 from service.lots.laboratory import StoredSieving
-from service.reports.plant import PlantSettings
+from service.lots.plant import PlantSettings
 
 Scalar = str | int | float | bool | None
 """What a cell of a table holds."""

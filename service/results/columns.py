@@ -8,11 +8,9 @@ from enum import StrEnum
 from functools import cache
 from typing import Any
 
+from service.base.units import unit_of
 from service.results.fields import Result
 
-UNITS = {
-    "percent": "%", "mm": "mm", "mm2": "mm²", "mm3": "mm³", "kg": "kg", "g": "g", "px": "px", "ms": "ms", "phi": "φ",
-}  # fmt: skip
 PARTS = {"min_box_mm": "abc", "center_mm": "xyz"}
 """Lists of numbers that become a column each, by the letters of these: `min_box_a_mm`."""
 Cell = str | float | int | bool | datetime | None
@@ -62,11 +60,6 @@ class ColumnOfStones:
                 return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
         found: Cell = value
         return found
-
-
-def unit_of(name: str) -> str | None:
-    """Return the unit at the end of a figure's name, None for a plain number."""
-    return UNITS.get(name.rpartition("_")[2])
 
 
 @cache

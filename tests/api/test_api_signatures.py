@@ -17,9 +17,9 @@ from service.calibration.verification_limits import VerificationParameters
 from service.daemon.lot_files import issued_reports, lot_files
 from service.delivery.file_drop import LotFiles
 from service.delivery.settings import FileDropSettings
+from service.lots.plant import PlantSettings
 from service.lots.yardsticks import Request
 from service.reports.lot_reports import ReportRequest, RigStanding
-from service.reports.plant import PlantSettings
 from service.reports.signatures import KEY_FILE, instrument_key, known_fingerprints
 from service.store import Store
 

@@ -23,7 +23,7 @@ from service.lots.figures import (
 )
 from service.lots.laboratory import Sieving, StoredSieving
 from service.lots.lots import LotDocument, LotState
-from service.reports.plant import PlantSettings
+from service.lots.plant import PlantSettings
 from service.reports.report import (
     GalleryReason,
     GalleryStone,

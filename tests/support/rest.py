@@ -47,11 +47,11 @@ from service.delivery.webhooks import Webhooks
 from service.health.alarms.alarms import Alarms
 from service.health.facts import Facts
 from service.health.refinement_watch import RefinementTrend
+from service.lots.plant import PlantSettings
 from service.lots.shifts import LotsSettings
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
 from service.reports.lot_reports import RigStanding
-from service.reports.plant import PlantSettings
 from service.store import Store
 from service.store.checks import RetentionFacts
 from service.web.key_ring import KeyRing

@@ -28,10 +28,10 @@ from pipeline.gradation.specification import Verdict
 from pipeline.gradation.stones import Unmeasured
 from service.base.language import Language
 from service.lots.lots import LotState
+from service.lots.plant import PlantSettings
 from service.reports.content import document_of
 from service.reports.document import NamesAndValues
 from service.reports.lot_reports import RENDERERS
-from service.reports.plant import PlantSettings
 from service.reports.printed import DEJAVU, render_html, render_pdf
 from service.reports.report import (
     GalleryReason,

@@ -21,11 +21,11 @@ from pipeline.gradation.specification import Verdict
 from pipeline.views.quality import Quality
 from service.base.language import Language
 from service.lots.lots import LotState
+from service.lots.plant import PlantSettings
 from service.lots.trends.changes import ChangedFigure
 from service.lots.trends.diary import DiaryKind
 from service.reports.budget import COLUMNS
 from service.reports.content import lot_section
-from service.reports.plant import PlantSettings
 from service.reports.report import GalleryReason, VerificationOutcome
 from service.reports.trend import TrendFigure
 from service.reports.words import words

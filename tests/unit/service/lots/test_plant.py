@@ -9,8 +9,7 @@ import pytest
 from PIL import Image
 
 from service.base.language import Language
-from service.reports.letterhead import MAX_LOGO_BYTES, logo_of
-from service.reports.plant import PlantSettings, zone_of
+from service.lots.plant import MAX_LOGO_BYTES, PlantSettings, logo_of, zone_of
 from service.reports.words import words
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 2 1"><rect width="2" height="1"/></svg>'
