@@ -88,6 +88,8 @@ async def write_everything(
     assert (deleted["before"]["bundles"], deleted["after"]) == (1, None)
 
     await write("PUT", "/products/{product}", PRODUCT, "product", "basalt", product="basalt")
+    limits = {"limits": {"d50_mm": {"centre": 11.2, "sd": 0.2}}}
+    await write("PUT", "/products/{product}/control", limits, "control limits", "basalt", product="basalt")
     lot = {"lot": "L1", "product": "basalt"}
     await write("POST", "/lots", lot, "lot opened", "L1")
     for sequence in range(1, 30):
@@ -176,6 +178,15 @@ async def write_webhooks(write: Writing) -> None:
     await write("POST", f"{path}enable", None, "webhook enabled", "mes", **mes)
     again = await write("POST", f"{path}replay", {"after": 1}, "webhook replayed", "mes", **mes)
     assert (again["before"]["after"], again["after"]["after"]) == (0, 1)
+    await write("POST", f"{path}resend", {"event": 1}, "webhook event sent again", "mes", **mes)
+
+    url = "http://127.0.0.1:9/hook/hidden"
+    made, erp = "/webhooks/{webhook}", {"webhook": "erp"}
+    defined = await write("PUT", made, {"url": url}, "webhook defined", "erp", **erp)
+    assert "hidden" not in json.dumps(defined)
+    await write("PUT", f"{made}/secret", {}, "webhook secret rotated", "erp", **erp)
+    await write("DELETE", f"{made}/secret", None, "webhook rotation ended", "erp", **erp)
+    await write("DELETE", made, None, "webhook removed", "erp", **erp)
 
 
 async def write_by_browser(write: Writing, client: httpx.AsyncClient) -> None:
