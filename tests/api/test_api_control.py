@@ -2,6 +2,7 @@
 
 import time
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from typing import Any
 from xml.etree import ElementTree
 
@@ -57,7 +58,7 @@ class Days:
         wanted = ReportRequest(figures=Request(), language=Language.ENGLISH, rig=rig)
         files = lot_files(self.store.path, self.store.particles_dir, lot, wanted, [DropFormat.PDF])
         assert files is not None
-        await self.store.write(note_issued, self.store.dir, lot, files)
+        await self.store.write(partial(note_issued, self.store.dir), lot, files)
         return lot
 
     async def drifting(self) -> list[str]:
