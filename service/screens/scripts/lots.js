@@ -1,7 +1,7 @@
 /** The lots: the open one, all others with their verdicts and reports, and the products that they are of. */
 
 import { get } from "./api.js";
-import { askWhenNew, latestOnly } from "./asking.js";
+import { askWhenNew } from "./asking.js";
 import { byId, html, setText, show } from "./dom.js";
 import { showOrigin, showProblem, startPage } from "./header.js";
 import { follow } from "./live.js";
@@ -12,12 +12,11 @@ import { word } from "./words.js";
 
 const STATES = ["open", "closing", "closed", "void"];
 const PAGE = 50;
-const latest = latestOnly();
 const form = byId("filters");
 
 await startPage();
 document.title = `${word("lots.title")} – stonefall`;
-let shown = [], products = [];
+let shown = [], products = [], nAsked = 0;
 const option = (value, text) => html.option({ value }, text);
 show(byId("state"), option("", word("lots.any")), STATES.map((state) => option(state, word(`lots.state-${state}`))));
 form.addEventListener("input", renew);
@@ -44,7 +43,9 @@ async function list(before = null) {
   const asked = new URLSearchParams([...new FormData(form)].filter(([, value]) => value !== ""));
   asked.set("limit", PAGE);
   if (before !== null) asked.set("before", before);
-  const [page, { items: open }] = await latest(Promise.all([get(`/lots?${asked}`), get("/lots?state=open")]));
+  const number = ++nAsked;
+  const [page, { items: open }] = await Promise.all([get(`/lots?${asked}`), get("/lots?state=open")]);
+  if (number !== nAsked) return; // something else was asked for meanwhile
   shown = before === null ? page.items : [...shown, ...page.items];
   showLots(byId("list"), shown, renew);
   byId("more").hidden = page.next_before === null;
