@@ -40,6 +40,7 @@ class Page:
 PAGES = {
     "/": Page("operator", style="operator", section="/"),
     "/lots": Page("lots", style="lots", section="/lots"),
+    "/laboratory": Page("laboratory", style="lots", section="/lots"),
     "/gallery": Page("gallery", style="stones", section="/gallery"),
     "/compare": Page("compare", style="stones", section="/compare"),
     "/setup": Page("setup", style="setup", section="/setup"),
