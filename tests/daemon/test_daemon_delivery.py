@@ -100,7 +100,7 @@ def test_lots_are_told_and_written_over_kills(tmp_path: Path, mes: Mes) -> None:
         (endpoint,) = daemon.wait_for(
             "/webhooks", lambda found: found["items"][0]["last_taken_at"] and not found["items"][0]["waiting"]
         )["items"]
-        assert (endpoint["last_problem"], "secret" in str(endpoint)) == (None, False)
+        assert (endpoint["last_problem"], SECRET in str(endpoint)) == (None, False)
         eventually(lambda: {path.name for path in drop.iterdir()} == {"L1-1.csv", "L1-1.json"})
         assert '"measured":4' in (drop / "L1-1.json").read_text()
         assert daemon.stop() == 0
