@@ -128,7 +128,7 @@ async def delete_webhook(
     await context.part(Webhooks).remove(webhook, asking)
 
 
-@router.put("/{webhook}/secret", responses=problem_responses(409))
+@router.put("/{webhook}/secret", responses=problem_responses(404, 409))
 async def rotate_webhook_secret(
     context: Context, name: Name, wanted: SecretRequest, asking: Who
 ) -> DefinedWebhook:
@@ -142,7 +142,7 @@ async def rotate_webhook_secret(
     return await _defined(context, name, secret if wanted.secret is None else None)
 
 
-@router.delete("/{webhook}/secret", responses=problem_responses(409))
+@router.delete("/{webhook}/secret", responses=problem_responses(404, 409))
 async def end_webhook_rotation(context: Context, name: Name, asking: Who) -> WebhookDocument:
     """End the rotation of a secret: messages are signed with the newest one alone."""
     context.store.require_writable()

@@ -219,8 +219,8 @@ def _url_problem(url: str) -> str | None:
         return f"is not valid: {err}"
     if parts.scheme not in PORTS:
         return "must begin with http:// or https://"
-    if host is None or not is_host(host):
-        return "names no host"
+    if host is None or not is_host(host) or "%" in parts.netloc or parts.port == 0:
+        return "names no host, or no port of it"
     if parts.username is not None or parts.password is not None or parts.fragment:
         return "must have no user, password or fragment"
     return None

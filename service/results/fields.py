@@ -248,8 +248,8 @@ class Result(BaseModel):
     density_kg_m3: Number = None
     """Density of the particles (EN 1097-6) that the mass is by, kg/m³"""
     density_source: DensitySource | None = None
-    """`product`: of the lot that the stone fell into; `configuration`: it fell outside of any lot; null without a
-    density"""
+    """`product`: of the stone's lot; `configuration`: it was in no lot; null without a density. A stone that is put
+    into a lot after it was measured has its product's with the next revision"""
     center_mm: Numbers = None
     """Centroid in the rig's frame (x, y, z up), mm"""
     hull: Annotated[Hull | None, ONLY_IF_MEASURED] = None

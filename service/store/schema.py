@@ -122,6 +122,8 @@ def read(
             return query(connection, *args, **kwargs)
     except (sqlite3.Error, ValueError) as err:  # or of a damaged record
         raise StoreError(f"{path}: {err}") from err
+    except StopIteration as err:  # a fault; as such it would never arrive, and the asker wait for ever
+        raise RuntimeError(f"{query}: nothing was left to take") from err
 
 
 def rows_by_name(rows: sqlite3.Cursor) -> list[dict[str, Any]]:

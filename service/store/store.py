@@ -259,8 +259,11 @@ class Store:
         """Queue `work(connection, ...)` after all earlier writes; the caller bounds the number that wait."""
 
         def write(connection: sqlite3.Connection) -> T:
-            with transaction(connection):
-                result = work(connection, *args, **kwargs)
+            try:
+                with transaction(connection):
+                    result = work(connection, *args, **kwargs)
+            except StopIteration as err:  # as `read` has it
+                raise RuntimeError(f"{work}: nothing was left to take") from err
             self._note_newest(connection)
             return result
 

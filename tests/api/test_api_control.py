@@ -1,5 +1,6 @@
 """Watching the product over REST: charts of its lots, their limits and causes, alarms and events."""
 
+import json
 import time
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -173,6 +174,18 @@ async def test_a_drift_is_an_event_once_and_an_alarm_until_it_is_gone(
     checks = watch.checks()
     assert checks["drift"].status is CheckStatus.PASS
     assert await days.events(EventType.PRODUCT_DRIFTING) == [drifting]
+
+
+async def test_limits_of_a_product_without_a_lot_are_an_empty_chart(client: httpx.AsyncClient) -> None:
+    await put_product(client)
+    limits = {"d50_mm": {"centre": 11.2, "sd": 0.2}}
+    assert (await client.put(CONTROL, json={"limits": limits})).status_code == 200
+    found = (await client.get(CONTROL)).json()
+    assert (found["drifting"], {len(each["points"]) for each in found["charts"]}) == ([], {0})
+    for wrong in ({"centre": 1e400, "sd": 0.2}, {"centre": 11.2, "sd": 1e308}, {"centre": -1, "sd": 0.2}):
+        content = json.dumps({"limits": {"d50_mm": wrong}}).replace("Infinity", "1e400")
+        refused = await client.put(CONTROL, content=content, headers={"Content-Type": "application/json"})
+        assert_problem(refused, 422, "invalid-request")
 
 
 async def test_limits_are_set_by_hand_and_taken_back(client: httpx.AsyncClient, days: Days) -> None:

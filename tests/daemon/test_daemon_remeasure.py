@@ -21,10 +21,12 @@ from service.results.version import ALGORITHM_VERSION
 
 N_STONES = 5
 OF_THE_STONE = ("id", "session", "bundle", "sequence", "kind", "captured_at", "is_simulated", "is_replay")
+OF_THE_LOT = ("mass_g", "density_kg_m3")
+"""Measured fields that a stone has by the product of its lot, which it was put into after it was measured."""
 NUMBERS = (
     "outcome", "reason", "quality", "quality_causes", "views", "dropped_views", "segmenters", "segmentation_flags",
-    *MEASURED_FIELDS, "gate_extent_mm", "view_residuals_px", "tangency_px", "image_shifts_px", "optics",
-    "calibration_id",
+    *(name for name in MEASURED_FIELDS if name not in OF_THE_LOT), "gate_extent_mm", "view_residuals_px",
+    "tangency_px", "image_shifts_px", "optics", "calibration_id",
 )  # fmt: skip
 EVER = {"since": "2000-01-01T00:00:00Z", "until": "2100-01-01T00:00:00Z"}
 

@@ -75,7 +75,7 @@ class Row:
 
 def true_stone(shape: ShapeMeasurement) -> Stone:
     """Return the stone that a perfect measurement finds."""
-    return Stone(**{name: getattr(shape, name) for name in (*REQUIRED, *OPTIONAL)})
+    return Stone(**{name: getattr(shape, name) for name in (*REQUIRED, *OPTIONAL) if hasattr(shape, name)})
 
 
 def body(number: int, seed: int) -> tuple[Body, Stone]:

@@ -108,7 +108,7 @@ async def get_control(
     return Response(existing(content, "product", product), media_type="application/json")
 
 
-@router.put("/{product}/control", dependencies=CONFIGURABLE)
+@router.put("/{product}/control", dependencies=CONFIGURABLE, responses=problem_responses(404))
 async def put_control(
     context: Context, product: ProductName, wanted: ControlSettings, asking: Who
 ) -> ControlSettings:

@@ -95,7 +95,7 @@ class _Chart:
     def newest(self) -> tuple[Estimate, list[RuleName]] | None:
         """The newest lot that counts, and the rules that make it drift; None without one beyond the baseline."""
         place = len(self.counted) - 1
-        if self.chart is None or (self.n_baseline and place < N_BASELINE):
+        if self.chart is None or place < (N_BASELINE if self.n_baseline else 0):
             return None
         lot = self.lots[next(reversed(self.counted))]
         rules = [each.rule for each in self.chart.violations if each.place == place and each.rule in TELLING]

@@ -21,9 +21,9 @@ from service.store.events import NewEvent
 class ControlLimits:
     """What a figure is to be, in the unit of its name."""
 
-    centre: float
+    centre: Annotated[float, Field(ge=0, le=1000)]
     """Target of the figure: the centre line."""
-    sd: Annotated[float, Field(ge=0)]
+    sd: Annotated[float, Field(ge=0, le=1000)]
     """Standard deviation from lot to lot, without errors of sampling: those of each lot are added."""
 
 

@@ -7,6 +7,7 @@ from fastapi import APIRouter, Depends, Path, Query, Response
 from fastapi import Request as HttpRequest
 
 from pipeline.gradation.distributions import ShapeMeasure
+from service.base.errors import InvalidRequestError
 from service.base.ids import ID
 from service.base.language import Language
 from service.lots.lots import find_lot
@@ -60,6 +61,7 @@ async def report(
 @router.get("/lots/{lot}/report.{report_format}", response_class=Response, responses=REPORTS)
 async def report_file(
     context: Context,
+    asked: HttpRequest,
     lot: LotName,
     report_format: Annotated[ReportFormat, Path(description="Format of the file")],
     measuring: Figuring,
@@ -75,6 +77,11 @@ async def report_file(
 ) -> Response:
     """Download the report of a lot as a file of this format: as of now, or the one that was issued for a revision."""
     if revision is not None:
+        if others := asked.query_params.keys() - {"revision"}:
+            named = ", ".join(sorted(others))
+            raise InvalidRequestError(
+                f"query: an issued report stays as it is: revision goes without {named}"
+            )
         return await _issued(context, lot, report_format, revision)
     return await _report(context, lot, report_format, language, measuring)
 

@@ -1,10 +1,11 @@
 """The key of the instrument, and the check of a report that it signed."""
 
 import asyncio
+import re
 from typing import Annotated
 
 from fastapi import APIRouter
-from pydantic import Base64Bytes, Field
+from pydantic import Base64Bytes, BeforeValidator, Field
 
 from service.base.schema import request_body
 from service.reports.signatures import (
@@ -20,12 +21,25 @@ from service.web.context import Context
 
 router = APIRouter(tags=["lots"], dependencies=READABLE)
 
+BASE64 = re.compile(r"[A-Za-z0-9+/\s]*(=\s*){0,2}")
+
+
+def _of_the_alphabet(text: object) -> object:
+    """Return a text in base64 as it is; raise `ValueError` for other characters, which decoding would drop."""
+    if isinstance(text, str) and BASE64.fullmatch(text) is None:
+        raise ValueError("must be base64 with + and / (RFC 4648, 4)")
+    return text
+
 
 @request_body
 class SignedFile:
     """A report as it was received."""
 
-    pdf: Annotated[Base64Bytes, Field(min_length=1, max_length=MAX_REPORT_BYTES, repr=False)]
+    pdf: Annotated[
+        Base64Bytes,
+        BeforeValidator(_of_the_alphabet),
+        Field(min_length=1, max_length=MAX_REPORT_BYTES, repr=False),
+    ]
     """All bytes of the file, in base64."""
 
 

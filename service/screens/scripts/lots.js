@@ -23,7 +23,7 @@ form.addEventListener("input", renew);
 form.addEventListener("submit", (event) => event.preventDefault());
 byId("more").addEventListener("click", () => list(shown.at(-1).opened_at).catch(showProblem));
 byId("new-product").addEventListener("click", () => editProduct(null, showProducts));
-await showProducts();
+await showProducts().catch(showProblem);
 const renewWhenNew = askWhenNew(renew);
 follow({
   onOverview(overview) {
@@ -53,7 +53,7 @@ async function list(before = null) {
 }
 
 async function showProducts() {
-  ({ items: products } = await get("/products").catch(() => ({ items: [] })));
+  ({ items: products } = await get("/products"));
   show(byId("products"), products.length === 0 ? html.p({ class: "note" }, word("lots.no-products")) : productsTable(products, showProducts));
   const chosen = byId("product").value;
   show(byId("product"), option("", word("lots.any")), products.map(({ product }) => option(product, product)));

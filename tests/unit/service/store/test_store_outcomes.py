@@ -468,3 +468,10 @@ async def test_open_triggers_are_lost_in_steps_of_which_each_is_whole(state_dir:
         items = (await store.read(results_after, 0, 10)).items
         assert [item["bundle"] for item in items] == ["0", "2", "3", "4", "5", "6", "7"]
         assert (await store.read(accounting)).in_progress == 2
+
+
+async def test_a_query_without_an_end_is_an_error_not_a_wait(store: Store) -> None:
+    """`StopIteration` cannot be raised into a future: whoever asks would wait for ever."""
+    for ask in (store.read, store.write):
+        with pytest.raises(RuntimeError, match="nothing was left to take"):
+            await asyncio.wait_for(ask(lambda _: next(iter(()))), timeout=PATIENCE_S)
