@@ -51,6 +51,7 @@ def test_a_table_is_read_back_beside_the_instrument_before_it_is_stored(
 ) -> None:
     watched.is_expected = re.compile("status of 422")
     page.goto(origin_of(replay.url("")) + "/lots")
+    page.locator("#list tbody tr").first.wait_for()  # what comes late moves the link under the mouse
     page.get_by_role("link", name="Laboratory").click()
     page.locator("select[name=lot]").select_option(lot)
     table = page.get_by_label(re.compile("^Table"))
