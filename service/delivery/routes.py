@@ -12,7 +12,8 @@ from service.base.schema import RequestBody
 from service.delivery.definitions import new_secret
 from service.delivery.settings import MAX_URL, WebhookEndpoint, key_of
 from service.delivery.table import Attempt, deliveries
-from service.delivery.webhooks import DefinedWebhook, WebhookDocument, Webhooks
+from service.delivery.webhook_documents import DefinedWebhook, WebhookDocument
+from service.delivery.webhooks import Webhooks
 from service.store.events import EventType
 from service.web.auth import CONFIGURABLE, Who
 from service.web.context import ApiContext, Context

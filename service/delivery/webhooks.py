@@ -16,7 +16,6 @@ from pydantic import SecretStr
 
 from pipeline.frames import rfc3339
 from service.base.errors import ProblemError, ProblemKind, StoreError
-from service.base.schema import OptionalTime, served
 from service.base.status import Checks, trouble_check
 from service.delivery import definitions, table
 from service.delivery.definitions import Definitions, WebhookConflictError
@@ -24,8 +23,9 @@ from service.delivery.posting import Message, message_of, post, signatures, tria
 from service.delivery.progress import EndpointAnswer, EndpointProgress, next_progress
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 from service.delivery.table import Attempt
+from service.delivery.webhook_documents import WebhookDocument
 from service.store import Store
-from service.store.events import CursorError, EventType, events_after
+from service.store.events import CursorError, events_after
 
 log = logging.getLogger(__name__)
 
@@ -49,46 +49,6 @@ class UnknownWebhookError(ProblemError):
     """There is no such endpoint, or not any more."""
 
     kinds = (ProblemKind("unknown-webhook", HTTPStatus.NOT_FOUND, "No such webhook"),)
-
-
-@served
-class WebhookDocument:
-    """An endpoint that events are posted to, and its progress; without its secrets."""
-
-    name: str
-    """As it is configured"""
-    is_of_configuration: bool
-    """True: the file of settings alone changes it; false: it was made over REST"""
-    n_secrets: int
-    """Secrets that each message is signed with: 2 during a rotation"""
-    url: str
-    """Scheme, host and first part of the path: the rest may be secret"""
-    events: tuple[EventType, ...]
-    """Types of the events that it gets"""
-    after: int
-    """`seq` of the last event that it has taken"""
-    waiting: int
-    """Events that wait to be posted to it"""
-    attempts: int
-    """Failed ones of the next event"""
-    failing_since: OptionalTime
-    """First of these, RFC 3339 UTC; null without any"""
-    next_attempt_at: OptionalTime
-    """When it is tried again; null: at once, or it is disabled"""
-    last_problem: str | None
-    """Why the latest attempt failed; null if it did not"""
-    last_taken_at: OptionalTime
-    """When it took a message last; null before the first"""
-    disabled_at: OptionalTime
-    """Not null: it gets nothing until it is enabled"""
-
-
-@served
-class DefinedWebhook(WebhookDocument):
-    """An endpoint that was made or changed over REST."""
-
-    secret: str | None
-    """The secret that was made for it, shown this once; null when none was made"""
 
 
 @dataclass(slots=True)

@@ -68,7 +68,7 @@ class Reference(Report):
     """A band of passings, at the sieves that have one."""
 
     kind: ReferenceKind
-    """What it is made of"""
+    """Source of the band"""
     name: str
     """Name of the specification, or id of the product"""
     n_lots: int | None

@@ -13,7 +13,7 @@ from service.reports.drawing import LABEL_SIZE, Drawing, Point, Shape, Sign, Sty
 from service.reports.words import Words, words
 
 COLOURS = ("#1c7fd6", "#d9480f", "#7048e8", "#b08900", "#0c8599", "#d6336c")
-"""Of the lots in their order, for light and dark pages alike; after the last they begin again, with dashes."""
+"""Colours of the lots in their order, on light and dark pages alike; after the last they begin again, with dashes."""
 ROW = 1.55 * LABEL_SIZE
 
 

@@ -80,7 +80,7 @@ class ReportCheck:
     detail: str
     """The same in words."""
     fingerprint: str | None = None
-    """Of the key that signed; null if it was changed or is not signed, as all that follows."""
+    """Fingerprint of the key that signed; null if the file was changed or is not signed, as all that follows."""
     statement: Statement | None = None
     """What was signed with the report."""
 

@@ -43,7 +43,7 @@ async def records(client: httpx.AsyncClient, lot: str) -> list[dict[str, Any]]:
 
 @pytest.fixture(params=[1, 3, N_STONES, 2000])
 def pieces(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
-    """So many stones are read at a time: none must be lost or come twice at the seams."""
+    """Stones are read in pieces: none must be lost or come twice at the seams."""
     monkeypatch.setattr(stone_files, "STONES_OF_A_PIECE", request.param)
     return int(request.param)
 

@@ -471,7 +471,7 @@ async def test_open_triggers_are_lost_in_steps_of_which_each_is_whole(state_dir:
 
 
 async def test_a_query_without_an_end_is_an_error_not_a_wait(store: Store) -> None:
-    """`StopIteration` cannot be raised into a future: whoever asks would wait for ever."""
+    """`StopIteration` cannot be raised into a future, which would stay without an answer."""
     for ask in (store.read, store.write):
         with pytest.raises(RuntimeError, match="nothing was left to take"):
             await asyncio.wait_for(ask(lambda _: next(iter(()))), timeout=PATIENCE_S)
