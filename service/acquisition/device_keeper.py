@@ -15,6 +15,7 @@ from typing import TypeVar
 
 from drivers.errors import DeviceError, LossCause
 from drivers.interfaces import Camera, CameraVitals, EventSink, LightGate
+from service.base.messages import Code, CodedText, message
 from service.base.status import DeviceState
 
 log = logging.getLogger(__name__)
@@ -44,6 +45,13 @@ class DeviceLoss:
 
     reason: str
     cause: LossCause
+
+    @property
+    def message(self) -> CodedText:
+        """The reason, coded by its cause."""
+        if isinstance(self.reason, CodedText):
+            return self.reason
+        return message(Code(f"device_{self.cause}"), reported=self.reason)
 
     def is_like(self, other: "DeviceLoss | None") -> bool:
         """True if both losses have one cause; losses of cause `OTHER` must have one reason as well."""
@@ -90,9 +98,9 @@ class DeviceKeeper:
         self._thread: ThreadPoolExecutor | None = None
 
     @property
-    def last_error(self) -> str | None:
+    def last_error(self) -> CodedText | None:
         """Reason of the latest loss, None as long as there was none."""
-        return None if self.loss is None else self.loss.reason
+        return None if self.loss is None else self.loss.message
 
     def start(self, sink: EventSink, tasks: asyncio.TaskGroup) -> None:
         """Keep the device armed until `close`, after which it may be started again."""

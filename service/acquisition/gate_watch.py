@@ -8,6 +8,7 @@ from statistics import median
 
 from drivers.interfaces import TriggersLost
 from pipeline.frames import FrameBundle
+from service.base.messages import Code, CodedText, message
 from service.bundling.window import BundlingParameters
 
 RECENT_S = 60.0
@@ -60,34 +61,19 @@ class GateWatch:
         self._counted.append((now_s, gap.count))
         self._counted_why = gap.reason
 
-    def warnings(self, now_s: float) -> tuple[str, ...]:
+    def warnings(self, now_s: float) -> tuple[CodedText, ...]:
         """Return the present troubles of the gate, each with the remedy."""
         n_late, n_counted = self._late.until(now_s), self._counted.until(now_s)
         n_unannounced = self._unannounced.until(now_s) - n_late
         found = []
         if n_unannounced >= 1 and self._n_silent >= SILENT_STONES:
-            found.append(
-                f"the cameras expose and the gate says nothing, {self._n_silent} stones in a row:"
-                " look at its line to this machine and at its firmware"
-            )
+            found.append(message(Code.GATE_SILENT, stones=self._n_silent))
         elif n_unannounced >= 1:
-            found.append(
-                f"{n_unannounced} stones within the last minute were not announced, and measured all the same:"
-                " look at the beam, at cable and shield"
-            )
+            found.append(message(Code.GATE_UNANNOUNCED, stones=n_unannounced))
         if n_late:
-            found.append(
-                f"{n_late} announcements within the last minute came too late for their frames: look at the load"
-                " of this machine, and at the latency of the serial converter"
-            )
+            found.append(message(Code.GATE_LATE, stones=n_late))
         if n_counted:
-            found.append(
-                f"its counter went on by {n_counted} stones without their lines within the last minute"
-                f" ({self._counted_why}): look at cable, shield, baud rate and power supply"
-            )
+            found.append(message(Code.GATE_COUNTED, stones=n_counted, reported=self._counted_why))
         if len(self._early_ms) == EARLY_STONES and median(self._early_ms) > self._bundling.window_ms / 2:
-            found.append(
-                f"frames come {median(self._early_ms):.0f} ms before they are expected: the gate's lines arrive late"
-                " (latency of the serial converter), or bundling.expected_delay_ms is too long"
-            )
+            found.append(message(Code.GATE_EARLY, early_ms=median(self._early_ms)))
         return tuple(found)

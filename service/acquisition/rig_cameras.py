@@ -25,6 +25,7 @@ from drivers.interfaces import (
 from pipeline.frames import CameraId, Frame, FrameBundle, Image, MissingReason
 from service.acquisition.device_keeper import DeviceKeeper, DeviceLoss
 from service.acquisition.exposure_skew import ExposureSkew
+from service.base.messages import Code, CodedText, about, joined, message
 from service.base.status import CameraStatus, Checks, DeviceState, HealthCheck, health_check
 from service.bundling.frame_account import BundlingCounters, CameraCounters
 
@@ -134,19 +135,20 @@ class RigCameras:
             camera.keeper.abandon()
 
     @property
-    def common_cause(self) -> str | None:
+    def common_cause(self) -> CodedText | None:
         """Why all cameras are lost, None as long as one is not."""
         losses = [keeper.loss for keeper in self.lost.values() if keeper.loss is not None]
         return common_cause(losses) if len(losses) == len(self._cameras) > 1 else None
 
-    def trouble(self, min_cameras: int) -> str | None:
+    def trouble(self, min_cameras: int) -> CodedText | None:
         """Return the reason for too few cameras, None when there are enough."""
         if self.armed >= min_cameras:
             return None
         if (cause := self.common_cause) is not None:
             return cause
         reason = next((keeper.last_error for keeper in self.lost.values()), None)
-        return f"{', '.join(self.lost)}: {reason}; cameras armed: {self.armed}, needed: {min_cameras}"
+        needed = message(Code.CAMERAS_NEEDED, armed=self.armed, needed=min_cameras)
+        return joined([about(", ".join(self.lost), str(reason) if reason is None else reason), needed])
 
     def refuse_repeated(self, event: DeviceEvent) -> DeviceEvent:
         """Return the event, or a `FrameLost` in the place of an image that repeats the camera's previous one."""
@@ -216,15 +218,15 @@ class RigCameras:
             self._sink.deliver(event)
 
 
-def common_cause(losses: Sequence[DeviceLoss]) -> str:
+def common_cause(losses: Sequence[DeviceLoss]) -> CodedText:
     """Name the cause that all lost cameras share, the network if none answers, and the first camera's reason."""
-    first = losses[0].reason
+    first = losses[0].message
     if all(loss.cause is LossCause.PROCESS_ENDED for loss in losses):
         return first
-    if all(loss.cause is LossCause.SILENT for loss in losses):
-        advice = "look at the switch, its power and its uplink first"
-        return f"all {len(losses)} cameras are gone: {advice}; the first one: {first}"
-    return f"all {len(losses)} cameras are lost, the first one: {first}"
+    are_silent = all(loss.cause is LossCause.SILENT for loss in losses)
+    lost = message(Code.CAMERAS_SILENT if are_silent else Code.CAMERAS_LOST, cameras=len(losses))
+    told = CodedText(f"the first one: {first}", about("first", first).findings)
+    return CodedText(f"{lost}{'; ' if are_silent else ', '}{told}", (*lost.findings, *told.findings))
 
 
 def _status(name: CameraId, camera: _RigCamera, skew_us: float | None) -> CameraStatus:
@@ -234,9 +236,7 @@ def _status(name: CameraId, camera: _RigCamera, skew_us: float | None) -> Camera
     told: dict[str, Any] = {**asdict(keeper.vitals), **counted, "frames": camera.frames}
     warnings = list(told.pop("warnings"))
     if skew_us is not None and skew_us > MAX_SKEW_US:
-        warnings.append(
-            f"exposes {skew_us:.0f} us off the other cameras: look at its trigger line and its settings"
-        )
+        warnings.append(message(Code.CAMERA_SKEWED, skew_us=skew_us))
     if camera.misses >= MAX_MISSES:
         warnings.append(_miss_warning(camera))
     n_recent = sum(now_s - at_s <= FPS_OVER_S for at_s in camera.received_s)
@@ -256,8 +256,8 @@ def _status(name: CameraId, camera: _RigCamera, skew_us: float | None) -> Camera
     )
 
 
-def _miss_warning(camera: _RigCamera) -> str:
-    return f"answers, but {camera.misses} images in a row could not be used ({camera.last_miss_reason})"
+def _miss_warning(camera: _RigCamera) -> CodedText:
+    return message(Code.CAMERA_MISSES, images=camera.misses, reported=str(camera.last_miss_reason))
 
 
 def camera_checks(
@@ -270,7 +270,8 @@ def camera_checks(
     """Return the checks of each camera, of all, and of their lines; `common_cause` says why all cameras are lost."""
     # while the process of the cameras is silent, that is the reason for triggers without images
     is_broken = blind_triggers >= BLIND_TRIGGERS and process.state is not ProcessState.SILENT
-    blind = f"{blind_triggers} triggers in a row without any image: look at the line from gate to cameras"
+    blind = message(Code.TRIGGER_LINE_BLIND, triggers=blind_triggers)
+    told = process.trouble and message(Code(f"camera_process_{process.state}"), reported=process.trouble)
     n_there = sum(camera.state is not DeviceState.LOST for camera in cameras)
     of_cameras = {
         f"camera:{camera.id}": device_check(camera.state, camera.last_error, camera.warnings)
@@ -279,7 +280,7 @@ def camera_checks(
     return of_cameras | {
         "cameras": health_check(common_cause, n_there, "cameras", fail=common_cause is not None),
         "camera_process": health_check(
-            process.trouble,
+            told,
             process.replaced,
             "replaced",
             warn=process.state is ProcessState.REPLACED,
@@ -294,5 +295,5 @@ def camera_checks(
 def device_check(state: DeviceState, error: str | None, warnings: Sequence[str]) -> HealthCheck:
     """Check that a device is there, and that it warns of nothing."""
     is_lost = state is DeviceState.LOST
-    detail = error if is_lost else "; ".join(warnings) or None
+    detail = error if is_lost else joined(warnings)
     return health_check(detail, state, warn=bool(warnings), fail=is_lost)

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from pipeline.frames import BundleKind, GateCount, Trigger
+from service.base.messages import CodedText, about
 
 
 class TriggerLog(Protocol):
@@ -21,7 +22,7 @@ class TriggerLog(Protocol):
 
     @property
     def trouble(self) -> object | None:
-        """Why nothing can be recorded now, in words as text; None when it can."""
+        """Why nothing can be recorded now, a message as text; None when it can."""
 
 
 class Triggers:
@@ -37,9 +38,11 @@ class Triggers:
         self.last_stone_s: float | None = None
 
     @property
-    def trouble(self) -> str | None:
+    def trouble(self) -> CodedText | None:
         """Why they cannot be recorded now, None when they can."""
-        return None if self._log is None or self._log.trouble is None else f"store: {self._log.trouble}"
+        return (
+            None if self._log is None or self._log.trouble is None else about("store", str(self._log.trouble))
+        )
 
     async def record(self, triggers: Sequence[Trigger], gate_count: GateCount | None = None) -> list[Trigger]:
         """Make triggers durable in one transaction, and return them with their names."""

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict
 
 from pipeline.frames import CameraId
 from service.base.errors import ProblemError, ProblemKind
+from service.base.messages import CodedFinding, Said, findings_of
 from service.base.schema import always_present
 
 
@@ -137,7 +138,7 @@ class AcquisitionStatus(Report):
 
     state: AcquisitionState
     """State of the rig; `held`: arming was requested, and devices or the store do not allow it"""
-    trouble: str | None = None
+    trouble: Said | None = None
     """Why it is held; null when it is not"""
     activity: Literal["idle", "measuring", "suspended"] = "idle"
     """Suspended: armed, and no stone for a minute"""
@@ -147,9 +148,9 @@ class AcquisitionStatus(Report):
     """Cameras of the rig"""
     gate: DeviceState = DeviceState.CLOSED
     """State of the light gate"""
-    gate_error: str | None = None
+    gate_error: Said | None = None
     """Why the light gate is lost; null when it is not"""
-    gate_warnings: tuple[str, ...] = ()
+    gate_warnings: tuple[Said, ...] = ()
     """What works but needs attention, with the remedy"""
     last_stone_age_s: float | None = None
     """Seconds since the last stone; null before the first"""
@@ -180,6 +181,8 @@ class HealthCheck(Report):
     """Unit of `observed_value`; null: none"""
     detail: str | None = None
     """What is wrong and what to do, in words; null when nothing is"""
+    findings: tuple[CodedFinding, ...] = ()
+    """What `detail` says, as codes with their parameters"""
 
 
 Checks = Mapping[str, HealthCheck]
@@ -196,7 +199,9 @@ def health_check(
 ) -> HealthCheck:
     """Return a check with the worst status that applies, and what was observed."""
     status = CheckStatus.FAIL if fail else CheckStatus.WARN if warn else CheckStatus.PASS
-    return HealthCheck(status=status, observed_value=value, observed_unit=unit, detail=detail)
+    return HealthCheck(
+        status=status, observed_value=value, observed_unit=unit, detail=detail, findings=findings_of(detail)
+    )
 
 
 def trouble_check(
@@ -215,6 +220,8 @@ class Health:
     """Whether the next stone will be measured."""
     reasons: tuple[str, ...] = ()
     """Why it is not ready, or not `good`."""
+    findings: tuple[CodedFinding, ...] = ()
+    """What the reasons say, as codes with their parameters."""
     checks: Checks
     """By name, in the order of `alarms.toml`."""
     gate_ne107: Ne107 = Ne107.GOOD
@@ -263,7 +270,7 @@ class CameraStatus(Report):
     """Whether it exposes, is closed, or does not answer"""
     ne107: Ne107 = Ne107.GOOD
     """Its state in the terms of NAMUR NE 107"""
-    last_error: str | None = None
+    last_error: Said | None = None
     """Why it was last lost; null when it never was"""
     recoveries: int = 0
     """How often it came back from a loss"""
@@ -323,7 +330,7 @@ class CameraStatus(Report):
     """Its rise since the first 20 stones after the start or the activation of this calibration"""
     optics: CameraOptics | None = None
     """How well it sees"""
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Said, ...] = ()
     """What works but needs attention, with the remedy"""
 
 

@@ -20,6 +20,7 @@ from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
 from pipeline.rig.cameras import RigCalibration
 from service.base.errors import StoreError
+from service.base.messages import Code, message
 from service.base.status import (
     AcquisitionState,
     CalibrationFacts,
@@ -132,9 +133,9 @@ class Calibrations:
         """Return the facts about calibrations that health is assessed from."""
         now, calibration_id, at_work = datetime.now(UTC), self.rig_file.calibration_id, None
         if self.wants_balls and (current := self.open_calibration) is not None:
-            at_work = f"calibration {current.id} is {current.state}: what falls is a ball"
+            at_work = message(Code.CALIBRATION_OPEN, calibration=current.id, state=str(current.state))
         elif (verification := self.verifications.current) is not None:
-            at_work = f"verification {verification.id} waits for balls: what falls is a ball"
+            at_work = message(Code.VERIFICATION_OPEN, verification=verification.id)
         return CalibrationFacts(
             calibration_id=calibration_id,
             method=self.rig.method,
@@ -341,6 +342,7 @@ class Calibrations:
 
 def calibration_checks(facts: CalibrationFacts) -> Checks:
     """Check that results of the calibration in use are to be trusted, and that what falls is a stone."""
-    detail = facts.trouble or f"{facts.method}, in use since {facts.used_since}"
+    in_use = message(Code.CALIBRATION_IN_USE, method=facts.method, since=facts.used_since)
+    detail = facts.trouble or in_use
     calibration = health_check(detail, facts.calibration_id, warn=facts.trouble is not None)
     return {"calibration": calibration, "drops": trouble_check(facts.at_work)}

@@ -13,6 +13,7 @@ from drivers.errors import RecordingError
 from drivers.files.rig_file import write_rig
 from drivers.files.times import utc_now
 from pipeline.rig.cameras import RigCalibration
+from service.base.messages import Code, message
 from service.calibration.files import (
     Activation,
     Activations,
@@ -24,9 +25,7 @@ from service.calibration.states import OPEN, CalibrationState
 
 log = logging.getLogger(__name__)
 
-LOST_LIST = (
-    "which calibration was in use is lost, the configured rig file is used: activate the one that is right"
-)
+LOST_LIST = message(Code.CALIBRATION_LIST_LOST)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +62,7 @@ def load_calibrations(folder: Path, configured: RigCalibration) -> CalibrationsA
         why = "no calibration that was in use can be read"
         activations = _activate_configured(files, records, activations, configured, why)
         record = records[activations.items[-1].id]
-        remedy = f"{why}, the configured rig file is used: activate another calibration"
+        remedy = message(Code.CALIBRATIONS_UNREADABLE)
         usable = record, _configured_rig(files, record, configured), remedy
     active, rig, trouble = usable
     for record in list(records.values()):
@@ -125,9 +124,7 @@ def _latest_usable(
             log.error("calibration %s cannot be used: it was made with other cameras", record.id)
         except (KeyError, RecordingError) as err:
             log.error("calibration %s cannot be used, the one before is: %s", activation.id, err)
-            damaged = (
-                f"calibration {activation.id} is damaged and an older one is in use: activate another one"
-            )
+            damaged = message(Code.CALIBRATION_DAMAGED, calibration=activation.id)
             trouble = trouble or damaged
     return None
 

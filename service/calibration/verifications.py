@@ -18,6 +18,7 @@ from pydantic import Field, computed_field
 
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
+from service.base.messages import Code, CodedText, message
 from service.base.schema import Name, Remark, Time, request_body, served
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.drops import DropCollector
@@ -173,19 +174,23 @@ class Verifications:
         every = timedelta(hours=self.parameters.every_h)
         return Verified.OVERDUE if every and _age(last, now) > every else Verified.PASSED
 
-    def trouble(self, calibration_id: str, now: datetime) -> str | None:
+    def trouble(self, calibration_id: str, now: datetime) -> CodedText | None:
         """Return the reason to distrust results of this calibration: it failed, or its verification is overdue."""
         last, every = self.last(calibration_id), timedelta(hours=self.parameters.every_h)
         match self.verified(calibration_id, now):
             case Verified.FAILED if last is not None:
-                return f"verification {last.id} failed: {'; '.join(last.problems)}"
+                said = "; ".join(last.problems)
+                return message(Code.VERIFICATION_FAILED, verification=last.id, reported=said)
             case Verified.OVERDUE if last is not None:
-                return (
-                    f"the last verification was {_in_words(_age(last, now))} ago, and one is due every"
-                    f" {_in_words(every)}: start one"
+                age = _age(last, now)
+                return message(
+                    Code.VERIFICATION_OVERDUE,
+                    age_h=age / timedelta(hours=1),
+                    every_h=every / timedelta(hours=1),
+                    reported=f"{_in_words(age)} ago, and one is due every {_in_words(every)}",
                 )
             case Verified.NEVER if every:
-                return "this calibration was never verified: start a verification and drop the ball"
+                return message(Code.VERIFICATION_MISSING)
         return None
 
     def series(self, diameter_mm: float) -> list[Verification]:

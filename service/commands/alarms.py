@@ -59,8 +59,9 @@ def alarm_as_text(alarm: Mapping[str, Any]) -> str:
     if alarm["state"] in (AlarmState.RETURNED, AlarmState.NORMAL) and alarm["cleared_at"] is not None:
         lasted = datetime.fromisoformat(alarm["cleared_at"]) - raised
         times += f", gone after {timedelta(seconds=max(0, round(lasted.total_seconds())))}"  # a clock may be set back
+    texts = (alarm.get("said"), alarm["detail"], alarm["cause"], f"-> {alarm['action']}")
     lines = (
         f"{alarm['id']:>5}  {alarm['priority']}  {alarm['check']}  {STATES[alarm['state']]}; {times}",
-        *(f"       {text}" for text in (alarm["detail"], alarm["cause"], f"-> {alarm['action']}") if text),
+        *(f"       {text}" for text in dict.fromkeys(texts) if text),
     )
     return "\n".join(lines)

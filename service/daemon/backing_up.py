@@ -5,6 +5,7 @@ import logging
 import time
 
 from service.base.errors import StoreError
+from service.base.messages import Code, message
 from service.base.status import Checks, trouble_check
 from service.configuration.settings import StoreSettings
 from service.store import Store
@@ -63,7 +64,7 @@ class BackingUp:
         try:
             path = await self._store.back_up(self._settings.keep_backups)
         except (StoreError, OSError) as err:
-            self.trouble = str(err)
+            self.trouble = message(Code.BACKUP_FAILED, reported=str(err))
             log.error("%s", err)
         else:
             self.trouble = None

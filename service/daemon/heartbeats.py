@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from service.base.messages import Code, message
 from service.base.status import HealthCheck, health_check
 
 
@@ -37,5 +38,5 @@ class Heartbeats:
     def check(self, now_s: float) -> HealthCheck:
         """Check that no part is late."""
         late = self.late(now_s)
-        problem = f"no progress of {', '.join(late)}: look at the journal"
+        problem = message(Code.NO_PROGRESS, parts=", ".join(late))
         return health_check(problem if late else None, fail=bool(late))

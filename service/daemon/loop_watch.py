@@ -5,6 +5,7 @@ import time
 from collections import deque
 
 from drivers.files.times import EARLIEST, is_of_unset_clock, utc_now
+from service.base.messages import Code, message
 from service.base.status import Checks, HealthCheck, trouble_check
 
 PERIOD_S = 0.02
@@ -66,7 +67,7 @@ class LoopWatch:
 
 def loop_check(worst_ms: float) -> HealthCheck:
     """Check that the event loop was not held up."""
-    problem = f"blocked for {worst_ms:.0f} ms within the last minute: look at the load of the machine"
+    problem = message(Code.LOOP_BLOCKED, blocked_ms=worst_ms)
     return trouble_check(problem if worst_ms > LOOP_MS else None, round(worst_ms, 1), "ms")
 
 
@@ -74,10 +75,7 @@ def clock_check(step_s: float | None, *, is_unset: bool) -> HealthCheck:
     """Check that the wall clock is set, and was not set lately."""
     problem = None
     if is_unset:
-        problem = (
-            "the wall clock was not set since the host started: give it a time server, or timedatectl set-time;"
-            " until then results are marked time_is_doubtful"
-        )
+        problem = message(Code.CLOCK_UNSET)
     elif step_s is not None:
-        problem = f"the wall clock was set by {step_s:+.1f} s: times of results are in doubt"
+        problem = message(Code.CLOCK_SET, step_s=step_s)
     return trouble_check(problem, step_s, "s")

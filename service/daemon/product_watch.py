@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from drivers.files.times import utc_now
 from pipeline.gradation.specification import Verdict
 from service.base.errors import ServiceError
+from service.base.messages import Code, about, joined, message
 from service.base.status import AcquisitionState, AcquisitionStatus, Checks, HealthCheck, trouble_check
 from service.daemon.overview.overviews import KeptFigures
 from service.lots.lots import reach_verdict
@@ -97,7 +98,7 @@ class ProductWatch:
         quiet_min = (now_s - self._fed_s) / 60
         if limit_min is None or quiet_min <= limit_min:
             return trouble_check(None)
-        detail = f"no stone has fallen for {quiet_min:.0f} minutes, and lot {self._standing.open_lot} is open"
+        detail = message(Code.NO_STONES, quiet_min=quiet_min, lot=str(self._standing.open_lot))
         return trouble_check(detail, round(quiet_min, 1), "min")
 
 
@@ -127,14 +128,22 @@ def _conformity(connection: sqlite3.Connection, product: str) -> str | None:
     ).fetchone()
     if found is None or found[2] != Verdict.DOES_NOT_CONFORM:
         return None
-    return f"lot {found[0]} of {product} does not conform{' so far' if found[1] == 'open' else ''}"
+    is_open = found[1] == "open"
+    code = Code.LOT_DOES_NOT_CONFORM_SO_FAR if is_open else Code.LOT_DOES_NOT_CONFORM
+    return message(code, lot=found[0], product=product)
 
 
 def _drift(connection: sqlite3.Connection, product: str) -> str | None:
     if (found := product_drift(connection, product)) is None:
         return None
-    figures = (
-        f"{each.figure} {each.value:.4g} about {each.centre:.4g} ({', '.join(each.rules)})"
+    figures = [
+        message(
+            Code.FIGURE_DRIFTS,
+            figure=each.figure,
+            value=float(f"{each.value:.4g}"),
+            centre=float(f"{each.centre:.4g}"),
+            rules=", ".join(each.rules),
+        )
         for each in found.figures
-    )
-    return f"{product}: {'; '.join(figures)}"
+    ]
+    return (told := joined(figures)) and about(product, told)

@@ -12,6 +12,7 @@ from typing import Any, Literal, get_type_hints
 
 from drivers.files.times import utc_now
 from service.base.errors import ServiceError, StoreError
+from service.base.messages import Code, message
 from service.base.redaction import redacted
 from service.base.schema import LIVE
 from service.base.status import Checks, ConfigurationState, trouble_check
@@ -35,11 +36,9 @@ class Configuration:
         """Check that the daemon works with what the configuration file says."""
         state, problem = self.state, None
         if state.problem is not None:
-            problem = (
-                f"the configuration was refused, the one of {state.loaded_at} stays in use: {state.problem}"
-            )
+            problem = message(Code.CONFIGURATION_REFUSED, since=state.loaded_at, reported=state.problem)
         elif state.restart_needed_for:
-            problem = f"a restart is needed for {', '.join(state.restart_needed_for)}"
+            problem = message(Code.RESTART_NEEDED, settings=", ".join(state.restart_needed_for))
         return {"configuration": trouble_check(problem)}
 
     async def reload(self, apply: Callable[[Settings, Settings], Awaitable[None]], store: Store) -> None:

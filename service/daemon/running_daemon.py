@@ -94,6 +94,7 @@ class Daemon:
             Health: self.health,
             Inputs: partial(diagnostic_inputs, self.settings),
             LotsSettings: lambda: self.settings.lots,
+            PlantSettings: lambda: self.settings.plant,
             RigStanding: lambda: rig_standing(self.calibrations, self.settings.plant),
             Settings: lambda: self.settings,
         }

@@ -17,6 +17,7 @@ from typing import Any
 from drivers.files.durable import remove_unfinished, write_file
 from drivers.files.times import utc_now
 from service.base.errors import ServiceError, StoreError
+from service.base.messages import Code, message
 from service.base.status import Checks, trouble_check
 from service.delivery.abandonable import start_abandonable
 from service.delivery.settings import DropFormat, FileDropSettings
@@ -116,7 +117,8 @@ class FileDrop:
             troubles.append(str(err))
         except OSError as err:
             troubles.append(f"{settings.dir}: {err.strerror or err}")
-        trouble = "; ".join(troubles) or None
+        said = "; ".join(troubles)
+        trouble = message(Code.FILES_NOT_WRITTEN, reported=said) if said else None
         if trouble is not None and trouble != self.trouble:
             log.error("%s: %s", self._purpose.check, trouble)
         self.trouble = trouble
@@ -136,7 +138,7 @@ class FileDrop:
             "file drop", partial(write_files, is_first=self._is_first), settings, by_path
         )
         while not (await asyncio.wait([writing], timeout=self._answer_s))[0]:
-            self.trouble = f"{settings.dir} has not answered for {self._answer_s:g} s"
+            self.trouble = message(Code.FOLDER_SILENT, folder=str(settings.dir), waited_s=self._answer_s)
             log.error("%s: %s", self._purpose.check, self.trouble)
         writing.result()
         self._is_first = False

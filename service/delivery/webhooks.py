@@ -15,6 +15,7 @@ from typing import Concatenate, ParamSpec, TypeVar
 from pydantic import SecretStr
 
 from pipeline.frames import rfc3339
+from service.base import messages
 from service.base.errors import ProblemError, ProblemKind, StoreError
 from service.base.status import Checks, trouble_check
 from service.delivery import definitions, table
@@ -117,16 +118,16 @@ class Webhooks:
     def troubles(self) -> list[str]:
         """Which endpoints are disabled or have failed for long, and why."""
         found = [
-            f"{name}: {trouble}"
+            messages.about(name, trouble)
             for name, told in self._told.items()
             if told.progress is not None and (trouble := _trouble(told.progress, self._now())) is not None
         ]
-        unreadable = f"cannot be read with {definitions.SEAL} of this machine: define it anew, or remove it"
-        return [*found, *(f"{name}: {unreadable}" for name in self._unreadable)]
+        unreadable = messages.message(messages.Code.WEBHOOK_UNREADABLE, seal=definitions.SEAL)
+        return [*found, *(messages.about(name, unreadable) for name in self._unreadable)]
 
     def checks(self) -> Checks:
         troubles = self.troubles
-        return {"webhooks": trouble_check("; ".join(troubles) or None, len(troubles), "disabled")}
+        return {"webhooks": trouble_check(messages.joined(troubles), len(troubles), "disabled")}
 
     async def run(self) -> None:
         """Post events to all endpoints until waiting in the store is ended."""
@@ -327,10 +328,12 @@ class Webhooks:
 
 def _trouble(progress: EndpointProgress, now: datetime) -> str | None:
     if progress.disabled_at is not None:
-        return f"disabled since {progress.disabled_at}: {progress.last_problem}"
-    if progress.is_failing(now):
-        return f"takes nothing since {progress.failing_since}: {progress.last_problem}"
-    return None
+        code, since = messages.Code.WEBHOOK_DISABLED, progress.disabled_at
+    elif progress.is_failing(now):
+        code, since = messages.Code.WEBHOOK_FAILING, str(progress.failing_since)
+    else:
+        return None
+    return messages.message(code, since=since, reported=str(progress.last_problem))
 
 
 def _signed(endpoint: WebhookEndpoint, message: Message, timestamp_s: int) -> dict[str, str]:

@@ -5,8 +5,10 @@ than specified has a check that names it, made by the part that it is about. Her
 """
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from pipeline.views.quality import ViewsParameters
+from service.base.messages import Code, about, message
 from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,
@@ -43,9 +45,13 @@ def assess(
         (name for name in checks if name not in explained), key=lambda name: _rank(name, checks[name])
     )
     reasons = tuple(f"{name}: {checks[name].detail}" for name in told)
+    findings = tuple(
+        replace(each, subjects=(name, *each.subjects)) for name in told for each in checks[name].findings
+    )
     is_armed = acquisition.state is AcquisitionState.ARMED
     if not is_armed:
-        reasons = (f"acquisition: {acquisition.state}", *reasons)
+        state = about("acquisition", message(Code(f"acquisition_{acquisition.state}")))
+        reasons, findings = (str(state), *reasons), (*state.findings, *findings)
     usable = len(cameras - failing)
     words = {word for name, word in rules.ne107.items() if name not in passing}
     if acquisition.state is AcquisitionState.HELD or failing - cameras or usable < views.min:
@@ -60,6 +66,7 @@ def assess(
         ne107=ne107,
         ready=is_armed and ne107 is not Ne107.FAILURE and "background" in passing,
         reasons=reasons,
+        findings=findings,
         checks=checks,
         gate_ne107=gate_ne107(acquisition),
         rig_ne107=rig_ne107,

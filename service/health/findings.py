@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from pipeline.frames import CameraId
+from service.base.messages import CodedText, about, joined
 from service.base.status import AcquisitionStatus, CalibrationFacts, CameraStatus, DeviceState, Ne107
 
 
@@ -26,15 +27,14 @@ class CameraFinding:
     cameras: tuple[CameraId, ...]
     """Cameras that see it, worst first; none: most have it in common, and it is of no camera alone."""
     severity: Severity
-    detail: str  # what it is, how much, and the remedy
+    detail: CodedText  # what it is, how much, and the remedy
     score_px: float = 0.0  # of geometry: how far outlines are from where they should be
 
 
-def described(findings: Collection[CameraFinding], n_cameras: int) -> str | None:
+def described(findings: Collection[CameraFinding], n_cameras: int) -> CodedText | None:
     """Return the findings in one line, each after its cameras, None when there are none."""
     names = (", ".join(each.cameras) if 2 * len(each.cameras) <= n_cameras else "" for each in findings)
-    texts = (f"{name or 'all'}: {each.detail}" for name, each in zip(names, findings, strict=True))
-    return "; ".join(texts) or None
+    return joined([about(name or "all", each.detail) for name, each in zip(names, findings, strict=True)])
 
 
 def camera_ne107(camera: CameraStatus, findings: Collection[CameraFinding]) -> Ne107:

@@ -16,6 +16,7 @@ from typing import Any
 
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
+from service.base.messages import Code, CodedText, message
 from service.base.status import CameraOptics, Checks, trouble_check
 from service.health.dark_panels import DarkPlace, ViewLight, dark_places
 from service.health.findings import CameraFinding, Severity, described
@@ -55,21 +56,17 @@ LIGHT_CHANGE, GRADIENT = "light_change", "gradient"
 EDGE_WIDTH = "edge_width_px"
 AXES = ("edge_width_u_px", "edge_width_v_px")
 """Widths of outlines across each axis of the image; a sharp outline has one width."""
-DETAILS = {
-    "flicker": "light varies by {:.0%} from exposure to exposure: look at the strobe and its supply",
-    "dust": "{:.0%} of the light is lost in patches: clean window and lens",
-    "spots_share": "{:.0%} of the view is darker than its surroundings: clean window and wall",
-    "saturated_share": "{:.1%} of all pixels are saturated: less gain, or a shorter flash",
-    "noise_grey": "images are noisy, {:.1f} grey levels: look at gain and temperature",
-    EDGE_WIDTH: "outlines are {:.1f} px wide: look at focus and window",
+CODES = {
+    "flicker": (Code.LIGHT_FLICKERS, "percent", 100),
+    "dust": (Code.DUSTY, "percent", 100),
+    "spots_share": (Code.SPOTS, "percent", 100),
+    "saturated_share": (Code.SATURATED, "percent", 100),
+    "noise_grey": (Code.NOISY, "noise_grey", 1),
+    EDGE_WIDTH: (Code.BLURRED, "width_px", 1),
 }
-"""By the name of the limit: the text of its finding, with the remedy."""
+"""By the name of the limit: the code of its finding, its parameter, and how many of its units are 1."""
 MOTION_RATIO = 1.4
 """Ratio of the widths of outlines along the two axes of the image from which it is motion: a lens blurs both alike."""
-MOTION = (
-    "outlines are {:.1f} px wide along one axis of the image, {:.1f} along the other: stones move too far during the"
-    " exposure: look at the strobe and the exposure time"
-)
 
 
 @dataclass(slots=True)
@@ -96,7 +93,7 @@ class _Camera:
     def limited_figures(self) -> dict[str, float]:
         """Return the figures that have a limit, by the name of the limit."""
         optics = self.optics
-        figures = {name: value for name in DETAILS if (value := getattr(optics, name)) is not None}
+        figures = {name: value for name in CODES if (value := getattr(optics, name)) is not None}
         if EDGE_WIDTH in figures:
             figures[EDGE_WIDTH] = max(figures[EDGE_WIDTH], *self.widths_px())
         if (light := _light(optics)) is not None:
@@ -108,12 +105,13 @@ class _Camera:
         u_px, v_px = (getattr(self.optics, axis) or 0.0 for axis in AXES)
         return max(u_px, v_px), min(u_px, v_px)
 
-    def detail(self, limit: str) -> str:
+    def detail(self, limit: str) -> CodedText:
         """Describe a figure that has reached its limit, with the remedy."""
         wide_px, narrow_px = self.widths_px()
         if limit == EDGE_WIDTH and wide_px > MOTION_RATIO * narrow_px > 0:
-            return MOTION.format(wide_px, narrow_px)
-        return DETAILS[limit].format(self.limited_figures()[limit])
+            return message(Code.BLURRED_BY_MOTION, wide_px=wide_px, narrow_px=narrow_px)
+        code, name, factor = CODES[limit]
+        return message(code, **{name: factor * self.limited_figures()[limit]})
 
     def severity(self, *limits: str) -> Severity:
         """Return the worst severity among these limits."""
@@ -155,7 +153,7 @@ class OpticalWatch:
     def findings(self) -> tuple[CameraFinding, ...]:
         """Return the findings that need an operator, worst first."""
         found = self._light_findings()
-        for limit in DETAILS:
+        for limit in CODES:
             found += self._limit_findings(limit)
         return tuple(sorted(found, key=lambda finding: -finding.severity))
 
@@ -188,7 +186,7 @@ class OpticalWatch:
             name: light for name in self._cameras if (light := _light(self._cameras[name].optics)) is not None
         }
         if self._are_most(changed):
-            detail = f"the light {self._describe_change(lights, changed)}: look at the strobes' supply"
+            detail = self._describe_change(lights, changed, "_all")
             return [CameraFinding(cameras=tuple(changed), severity=max(changed.values()), detail=detail)]
         found = []
         for place in dark_places(self._rig, lights):
@@ -198,19 +196,23 @@ class OpticalWatch:
                     CameraFinding(cameras=place.cameras, severity=max(alarmed), detail=_describe_place(place))
                 )
         for name, severity in changed.items():
-            detail = f"its light {self._describe_change(lights, [name])}: look at its gain and flash"
+            detail = self._describe_change(lights, [name])
             found.append(CameraFinding(cameras=(name,), severity=severity, detail=detail))
         return found
 
-    def _describe_change(self, lights: Mapping[CameraId, ViewLight], cameras: Collection[CameraId]) -> str:
+    def _describe_change(
+        self, lights: Mapping[CameraId, ViewLight], cameras: Collection[CameraId], of: str = ""
+    ) -> CodedText:
         """Describe which limits of the light these cameras have passed, with the median figure of each."""
-        changes = []
+        changes: list[str] = []
+        figures: dict[str, float] = {}
         if any(self._cameras[name].severity(LIGHT_CHANGE) for name in cameras):
-            changes.append(f"has changed by {median(lights[name].brightness for name in cameras) - 1:+.0%}")
+            changes.append("changed")
+            figures["percent"] = 100 * (median(lights[name].brightness for name in cameras) - 1)
         if any(self._cameras[name].severity(GRADIENT) for name in cameras):
-            slope = median(hypot(*lights[name].gradient_uv) for name in cameras)
-            changes.append(f"differs by {slope:.0%} from border to border")
-        return " and ".join(changes)
+            changes.append("tilted")
+            figures["slope_percent"] = 100 * median(hypot(*lights[name].gradient_uv) for name in cameras)
+        return message(Code(f"light_{'_and_'.join(changes)}{of}"), **figures)
 
     def _are_most(self, cameras: Collection[CameraId]) -> bool:
         return 2 * len(cameras) > len(self._cameras)
@@ -241,10 +243,9 @@ def _flicker(brightness: Sequence[float]) -> float | None:
     return sqrt(fmean([step**2 for step in steps]) / 2) / max(fmean(brightness), 0.01)
 
 
-def _describe_place(place: DarkPlace) -> str:
+def _describe_place(place: DarkPlace) -> CodedText:
+    percent = 100 * place.loss
     if len(place.cameras) == 1:
-        return f"sees {place.loss:.0%} less light, its neighbours do not: look at its window, lens and flash"
-    return (
-        f"the wall is {place.loss:.0%} darker about azimuth {place.azimuth_deg:.0f},"
-        f" elevation {place.elevation_deg:+.0f} degrees: look at the light panel there"
-    )
+        return message(Code.CAMERA_DARKER, percent=percent)
+    where = {"azimuth_deg": place.azimuth_deg, "elevation_deg": place.elevation_deg}
+    return message(Code.WALL_DARKER, percent=percent, **where)

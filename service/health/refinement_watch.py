@@ -9,6 +9,7 @@ from collections import deque
 from dataclasses import dataclass
 from statistics import median
 
+from service.base.messages import Code, CodedText, joined, message
 from service.base.status import Checks, trouble_check
 from service.results.fields import RUSH, Result
 
@@ -37,21 +38,15 @@ class RefinementTrend:
     has_fallen: bool = False
 
     @property
-    def warning(self) -> str | None:
+    def warning(self) -> CodedText | None:
         """Why dents are not seen, with the remedy; None if they are, as far as stones have any texture."""
         warnings = []
         if self.is_rushed:
-            warnings.append(
-                f"{self.rushed_share:.0%} of the latest stones were not refined because others waited: the machine is"
-                " too slow for refining at this rate: fewer stones, more workers, `stonefall remeasure` afterwards, or"
-                ' body.kind = "estimate"'
-            )
+            warnings.append(message(Code.REFINEMENT_RUSHED, percent=100 * (self.rushed_share or 0.0)))
         if self.has_fallen:
-            warnings.append(
-                f"pixels support {self.supported_share:.0%} of the surface, {self.reference_share:.0%} at the beginning"
-                " of the run: wet, dusty or dark stones, dirty windows or less light: dents are no longer seen"
-            )
-        return "; ".join(warnings) or None
+            percent, before = (100 * (share or 0.0) for share in (self.supported_share, self.reference_share))
+            warnings.append(message(Code.REFINEMENT_FALLEN, percent=percent, reference_percent=before))
+        return joined(warnings)
 
 
 class RefinementWatch:

@@ -19,6 +19,7 @@ from pipeline.fall import Fall
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.views.epipolar_tangency import ALARM_PX
+from service.base.messages import Code, CodedText, message
 from service.base.status import Checks, trouble_check
 from service.health.findings import CameraFinding, Severity, described
 from service.results.fields import Result
@@ -36,7 +37,6 @@ SHARP_WIDTH_PX = 2.6
 """Width of a sharp outline, from 10 to 90 %: lens and pixels."""
 MAX_TAN_TO_FALL = 0.2
 """Tangent of the angle (11 degrees) between a shift and the fall up to which a wrong time can explain the shift."""
-REMEDY = "recalibrate (stonefall calibrate RECORDING --method stones, or drop the ball)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,8 +176,11 @@ class RigWatch:
                 cameras=(name,),
                 score_px=camera.residual.recent_median or 0.0,
                 severity=Severity.MAINTENANCE,
-                detail=f"its silhouettes leave the hull of the others by {camera.residual.recent_median:.1f} px,"
-                f" {drift_px:.1f} px more than at first: clean its window, look at its light and focus",
+                detail=message(
+                    Code.CAMERA_LEAVES_HULL,
+                    residual_px=camera.residual.recent_median or 0.0,
+                    drift_px=drift_px,
+                ),
             )
             for name, camera in self._cameras.items()
             if (drift_px := camera.residual.drift) is not None
@@ -187,39 +190,29 @@ class RigWatch:
         return tuple(sorted([*displaced, *differing], key=lambda finding: -finding.score_px))
 
 
-def _describe_displacement(camera: _Camera, score_px: float, speed_mm_s: float) -> str:
+def _describe_displacement(camera: _Camera, score_px: float, speed_mm_s: float) -> CodedText:
     """Describe the shift that explains the tangents, as a turn, or as a time if it lies along the fall.
 
     A camera that exposes late sees the stone further down, and so does one that was tilted up: where the shift cannot
     tell these apart both are named. The text ends with the remedy.
     """
     if score_px < camera.alarm_px:
-        return (
-            f"contradicts the hull of the others, {camera.n_dropped} stones in a row:"
-            " clean its window, look at its light and focus"
-        )
+        return message(Code.CAMERA_CONTRADICTS, stones=camera.n_dropped)
     shift = np.array(camera.shift_px)
     shift_px, calibration = float(np.linalg.norm(shift)), camera.calibration
     if shift_px < score_px:
-        return (
-            f"its outlines miss the others' tangents by {score_px:.1f} px, though not by a shift:"
-            f" turned about its line of sight, out of focus, or dirty: clean it, then {REMEDY}"
-        )
-    turn = f"turned by {np.rad2deg(shift_px / calibration.focal_px):.2f} degrees"
+        return message(Code.CAMERA_MISSES_TANGENTS, score_px=score_px)
+    shift_figures = {"shift_px": shift_px, "turn_deg": float(np.rad2deg(shift_px / calibration.focal_px))}
     (center_uv, below_uv), _ = calibration.project([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     fall_px_mm = float(np.linalg.norm(below_uv - center_uv))
     along_px, across_px = (
         np.array([below_uv - center_uv, (below_uv - center_uv)[::-1] * [-1, 1]]) @ shift / fall_px_mm
     )
     if abs(across_px) > MAX_TAN_TO_FALL * abs(along_px):
-        return f"moved: it sees the stones {shift_px:.1f} px from where the others do, as if {turn}: {REMEDY}"
+        return message(Code.CAMERA_MOVED, **shift_figures)
     off_us = 1e6 * along_px / fall_px_mm / speed_mm_s
-    when = "late" if off_us > 0 else "early"
-    return (
-        f"exposes {abs(off_us):.0f} us {when}, or has {turn}:"
-        f" it sees the stones {shift_px:.1f} px {'lower' if off_us > 0 else 'higher'} than the others do:"
-        f" look at its trigger line and delay; if they are right, {REMEDY}"
-    )
+    code = Code.CAMERA_LATE if off_us > 0 else Code.CAMERA_EARLY
+    return message(code, off_us=float(abs(off_us)), **shift_figures)
 
 
 def _in_common(displaced: Sequence[CameraFinding], n_cameras: int) -> CameraFinding:
@@ -229,6 +222,7 @@ def _in_common(displaced: Sequence[CameraFinding], n_cameras: int) -> CameraFind
         cameras=(),
         score_px=score_px,
         severity=max(finding.severity for finding in displaced),
-        detail=f"{len(displaced)} of {n_cameras} cameras contradict one another, by {score_px:.1f} px: look at light"
-        " and focus, then recalibrate with the ball",
+        detail=message(
+            Code.CAMERAS_CONTRADICT, contradicting=len(displaced), cameras=n_cameras, score_px=score_px
+        ),
     )

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Path, Query
 from pydantic import BaseModel, Field
 
 from service.base.language import Language
+from service.base.messages import CodedFinding, in_language
 from service.base.schema import RequestBody, served
 from service.base.status import CheckStatus, Health, HealthCheck, Ne107
 from service.health.alarms.alarm import ANNOUNCED, Alarm, AlarmState
@@ -38,6 +39,7 @@ class HealthDocument(BaseModel):
     rig_ne107: Ne107 = Field(description="Geometry and optics of the rig: is all as it was calibrated")
     ready: bool = Field(description="Whether the next stone will be measured")
     reasons: list[str] = Field(description="Why it is not ready, or not `good`; empty when it is both")
+    findings: list[CodedFinding] = Field(description="What the reasons say, as codes with their parameters")
     version: str = Field(description="As `api_version`, which says of what")
     release: str = Field(description="Version of the installed package")
     api_version: str = Field(description="Version of this interface, by semver")
@@ -98,7 +100,7 @@ async def health(context: Context) -> dict[str, Any]:
 alarming = APIRouter(prefix="/alarms", tags=["alarms"])
 
 Number = Annotated[int, Path(ge=1, le=MAX_SEQ, description="`id` of the alarm")]
-Words = Annotated[Language, Query(description="Of `cause` and `action`")]
+Words = Annotated[Language, Query(description="Of `cause`, `action` and `said`")]
 MAX_SHELVED_MINUTES = MAX_SHELVED_S / 60
 
 
@@ -110,6 +112,8 @@ class AlarmDocument(Alarm):
     """What the alarm means."""
     action: str
     """What to do."""
+    said: str | None
+    """What the check says, in the language that was asked for; `detail` is in English."""
 
 
 class AlarmsDocument(BaseModel):
@@ -198,7 +202,10 @@ def _found(context: Context, number: int, alarm: Alarm | None, language: Languag
 def _document(alarm: Alarm, rules: Rules, language: Language) -> dict[str, Any]:
     rule = rules.of(alarm.check)
     words = ("", "") if rule is None else (rule.cause[language], rule.action[language])
-    return asdict(alarm) | {"cause": words[0], "action": words[1]}
+    said = alarm.detail
+    if language is not Language.ENGLISH and alarm.findings:
+        said = in_language(alarm.findings, language)
+    return asdict(alarm) | {"cause": words[0], "action": words[1], "said": said}
 
 
 ROUTERS = (router, alarming)

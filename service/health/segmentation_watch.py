@@ -7,6 +7,7 @@ the CPU or without the network, and health warns.
 from collections import deque
 
 from pipeline.segmentation.silhouette import FoundBy
+from service.base.messages import Code, joined, message
 from service.base.status import Checks, trouble_check
 from service.processing.measure_job import MeasuredBundle
 from service.processing.segmenters import SegmenterPlan
@@ -30,11 +31,13 @@ class SegmentationWatch:
 
     def checks(self, *, has_background: bool) -> Checks:
         """Check what outlines are found with: the background, which a network does without, and the network."""
-        problem = "the empty rig was not exposed yet: let no stone fall for a moment"
-        if self._plan.model is not None:
-            problem += "; until then the network alone finds them"
+        alone = [] if self._plan.model is None else [message(Code.NETWORK_ALONE)]
+        problem = joined([message(Code.BACKGROUND_MISSING), *alone])
         latest = next((trouble for trouble in reversed(self._troubles) if trouble is not None), None)
+        told = [] if latest is None else [message(Code.NETWORK_TROUBLED, reported=latest)]
         return {
             "background": trouble_check(None if has_background else problem, has_background),
-            "segmentation": trouble_check("; ".join(filter(None, (self._plan.warning, latest))) or None),
+            "segmentation": trouble_check(
+                joined([*([self._plan.warning] if self._plan.warning else []), *told])
+            ),
         }

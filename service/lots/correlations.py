@@ -14,6 +14,7 @@ from pydantic import TypeAdapter
 from drivers.files.times import utc_now
 from pipeline.gradation.correlation import MappingForm, SievedLot, SizeMapping, Study, study
 from service.base.errors import ProblemError, ProblemKind
+from service.base.messages import Code, CodedFinding, findings_of, joined, message
 from service.base.schema import OptionalTime, Time, served
 from service.lots.laboratory import valid_sievings
 from service.lots.lots import LotChoice, LotState, lots
@@ -73,6 +74,8 @@ class CorrelationDocument:
     """True for the newest accepted one: curves of the product's lots are correlated by it"""
     obstacles: tuple[str, ...]
     """Why it cannot be accepted, in words; empty if it can"""
+    obstacle_findings: tuple[CodedFinding, ...]
+    """The same, as codes with their parameters"""
     accepted_at: OptionalTime
     """When it was accepted, RFC 3339 UTC; null if it never was"""
     accepted_by: str | None
@@ -120,6 +123,7 @@ class JudgedStudy(NamedTuple):
 
 
 STUDY = TypeAdapter(Study)
+FINDINGS = TypeAdapter(tuple[CodedFinding, ...])
 
 
 def study_of(connection: sqlite3.Connection, product: str, form: MappingForm) -> JudgedStudy:
@@ -147,7 +151,7 @@ def study_of(connection: sqlite3.Connection, product: str, form: MappingForm) ->
     except ValueError as err:
         raise NothingToStudyError(f"product {product}: {err}") from err
     few = [
-        f"lot {name} has {each.lot.n_measured} measured stones, fewer than {LEAST_STONES}"
+        message(Code.STUDY_SMALL_LOT, lot=name, stones=each.lot.n_measured, least=LEAST_STONES)
         for name, each in chosen.items()
         if name not in enough
     ]
@@ -162,7 +166,8 @@ def keep_study(
         "SELECT coalesce(max(version), 0) + 1 FROM correlations WHERE product = ?", (product,)
     ).fetchone()
     connection.execute(
-        "INSERT INTO correlations (product, version, at, document, state, obstacles) VALUES (?, ?, ?, ?, ?, ?)",
+        "INSERT INTO correlations (product, version, at, document, state, obstacles, findings)"
+        " VALUES (?, ?, ?, ?, ?, ?, ?)",
         (
             product,
             version,
@@ -170,6 +175,7 @@ def keep_study(
             json.dumps(asdict(found.study)),
             StudyState.DRAFT,
             json.dumps(found.obstacles),
+            FINDINGS.dump_json(findings_of(joined(found.obstacles))).decode(),
         ),
     )
     kept = _version_of(connection, product, version)
@@ -210,7 +216,8 @@ def withdraw_study(
 def correlations(connection: sqlite3.Connection, product: str) -> list[CorrelationDocument]:
     """Return all versions of a product's study, the newest first."""
     rows = connection.execute(
-        "SELECT product, version, at, document, state, obstacles, accepted_at, accepted_by, withdrawn_at, reason,"
+        "SELECT product, version, at, document, state, obstacles, findings, accepted_at, accepted_by, withdrawn_at,"
+        " reason,"
         " version IS (SELECT max(version) FROM correlations WHERE product = ?1 AND state = 'accepted') AS is_in_use"
         " FROM correlations WHERE product = ?1 ORDER BY version DESC",
         (product,),
@@ -222,6 +229,10 @@ def correlations(connection: sqlite3.Connection, product: str) -> list[Correlati
         figures |= figures.pop("mapping") | {"factor": document.mapping.factor}
         row["state"], row["is_in_use"] = StudyState(row["state"]), bool(row["is_in_use"])
         row["obstacles"] = tuple(json.loads(row["obstacles"]))
+        coded = row.pop("findings")
+        # those made before codes are as they were said
+        told = findings_of(joined(row["obstacles"]))
+        row["obstacle_findings"] = told if coded is None else FINDINGS.validate_json(coded)
         found.append(CorrelationDocument(**row | figures))
     return found
 
@@ -267,12 +278,10 @@ def _obstacles(found: Study) -> Sequence[str]:
     """Return the obstacles that lie in the figures of a study."""
     obstacles = []
     if found.n_lots < LEAST_LOTS:
-        obstacles.append(f"it rests on {found.n_lots} lots, fewer than {LEAST_LOTS}")
+        obstacles.append(message(Code.STUDY_FEW_LOTS, lots=found.n_lots, least=LEAST_LOTS))
     if found.held_out_rmse is None:
-        obstacles.append("there is no held-out error: no lot is left to check the mapping of the others on")
+        obstacles.append(message(Code.STUDY_UNCHECKED))
     elif found.held_out_rmse >= found.raw_rmse:
-        obstacles.append(
-            f"on lots that it was not fitted to it misses the laboratory by {found.held_out_rmse:.2f} points,"
-            f" not less than the raw curves by {found.raw_rmse:.2f}"
-        )
+        figures = {"held_out_rmse": found.held_out_rmse, "raw_rmse": found.raw_rmse}
+        obstacles.append(message(Code.STUDY_WORSE, **figures))
     return obstacles

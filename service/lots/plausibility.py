@@ -7,6 +7,7 @@ from http import HTTPStatus
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.sieves import MeasuredRange
 from service.base.errors import ProblemError, ProblemKind
+from service.base.messages import Code, CodedFinding, CodedText, findings_of, joined, message
 from service.base.schema import served
 from service.lots.evaluation import passing_of
 from service.lots.laboratory import Sieving, SievingError
@@ -56,6 +57,8 @@ class SievingReading:
     """Name of the lot"""
     understood: str
     """How columns and numbers were taken, in words"""
+    understood_findings: tuple[CodedFinding, ...]
+    """The same, as codes with their parameters"""
     mass_g: float | None
     """Mass of all fractions, g; null where only percents are known"""
     dry_mass_g: float | None
@@ -64,6 +67,8 @@ class SievingReading:
     """By rising aperture"""
     implausible: str | None
     """Why it will be refused without a `reason`; null if it is plausible"""
+    implausible_findings: tuple[CodedFinding, ...]
+    """The same, as codes with their parameters; empty if it is plausible"""
 
 
 def sieving_reading(
@@ -83,14 +88,17 @@ def sieving_reading(
         )
         for sieve_mm, percent in passing.items()
     )
-    odd = [_contradiction(step) for step in steps if stones.n_measured >= LEAST_STONES and _contradicts(step)]
+    may_judge = stones.n_measured >= LEAST_STONES
+    odd = joined([_contradiction(step) for step in steps if may_judge and _contradicts(step)])
     return SievingReading(
         lot=lot,
         understood=understood,
+        understood_findings=findings_of(understood),
         mass_g=sieving.mass_g,
         dry_mass_g=sieving.dry_mass_g,
         sieves=steps,
-        implausible=f"lot {lot}: {'; '.join(odd)}" if odd else None,
+        implausible=None if odd is None else f"lot {lot}: {odd}",
+        implausible_findings=findings_of(odd),
     )
 
 
@@ -131,9 +139,12 @@ def _contradicts(step: SievingStep) -> bool:
     return abs(step.difference) > MOST_POINTS and not found.low <= step.passing_percent <= found.high
 
 
-def _contradiction(step: SievingStep) -> str:
+def _contradiction(step: SievingStep) -> CodedText:
     found = step.instrument_percent
-    return (
-        f"at {step.sieve_mm:g} mm {step.passing_percent:.1f} % pass by the sieving,"
-        f" {found.value:.1f} % ({found.low:.1f} to {found.high:.1f}) by the instrument"
+    instrument = {"instrument_percent": found.value, "low_percent": found.low, "high_percent": found.high}
+    return message(
+        Code.SIEVING_CONTRADICTS,
+        sieve_mm=step.sieve_mm,
+        sieved_percent=step.passing_percent,
+        **{name: value or 0.0 for name, value in instrument.items()},
     )

@@ -22,6 +22,7 @@ from drivers.files.durable import replacing
 from drivers.files.recording import read_bundle
 from drivers.interfaces import FrameLossReason
 from pipeline.frames import BundleKind, CameraId
+from service.base.messages import Code, message
 from service.base.status import Checks, trouble_check
 from service.processing.spool import LEFT, LEFT_BACKGROUND, LeftBundle, remove_backgrounds
 
@@ -67,7 +68,7 @@ class Quarantine:
 
     def checks(self) -> Checks:
         bundles = self.bundles()
-        trouble = f"no worker survived {', '.join(bundles)}" if bundles else None
+        trouble = message(Code.QUARANTINE, bundles=", ".join(bundles)) if bundles else None
         return {"quarantine": trouble_check(trouble, len(bundles), "bundles")}
 
 

@@ -18,6 +18,7 @@ from pipeline.segmentation.network import Network, available_providers, load_net
 from pipeline.segmentation.network_segmenter import NetworkSegmenter
 from pipeline.segmentation.segmenter_choice import ChoosingSegmenter, SegmenterKind
 from pipeline.segmentation.subtraction import BackgroundSegmenter, SegmentationParameters
+from service.base.messages import Code, message
 
 log = logging.getLogger(__name__)
 
@@ -35,7 +36,9 @@ class SegmenterPlan:
     @property
     def warning(self) -> str | None:
         """Why the configured segmenter is not used, or not as configured; None when it is."""
-        return self.provider_trouble if self.trouble is None else f"classical mode: {self.trouble}"
+        if self.trouble is not None:
+            return message(Code.SEGMENTATION_CLASSICAL, reported=self.trouble)
+        return self.provider_trouble and message(Code.NETWORK_TROUBLED, reported=self.provider_trouble)
 
 
 CLASSICAL = SegmenterPlan()

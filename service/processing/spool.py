@@ -19,6 +19,7 @@ from pathlib import Path
 
 from drivers.files.bundle_file import overwrite_bundle
 from pipeline.frames import BundleKind, CameraId, FrameBundle, MissingReason, Trigger
+from service.base.messages import Code, joined, message
 from service.base.status import Checks, health_check
 from service.results.fields import LossReason
 
@@ -146,9 +147,12 @@ class Spool:
 
     def checks(self) -> Checks:
         """Check that there is room for the next bundles, and that none was lost lately."""
-        trouble, waiting = self.trouble, f"{self.n_queued} of {self.max_bundles} waiting"
+        trouble, waiting = (
+            self.trouble,
+            message(Code.QUEUE_WAITING, bundles=self.n_queued, most=self.max_bundles),
+        )
         is_filling = 2 * self.n_queued > self.max_bundles
-        detail = waiting if trouble is None else f"{waiting}; within the last minute: {trouble}"
+        detail = joined([waiting, *([message(Code.QUEUE_TROUBLE, reported=trouble)] if trouble else [])])
         is_troubled = is_filling or trouble is not None
         is_full = self.n_queued >= self.max_bundles
         return {"queue": health_check(detail, self.n_queued, "bundles", warn=is_troubled, fail=is_full)}

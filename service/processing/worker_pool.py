@@ -16,6 +16,7 @@ from multiprocessing.connection import wait
 from typing import Protocol, Self, TypeVar
 
 from service.base.errors import ServiceError
+from service.base.messages import Code, joined, message
 from service.base.status import Checks, HealthCheck, health_check
 from service.processing.worker_process import Prepare
 from service.processing.worker_slot import JobLostError, Slot, WorkerStartError
@@ -223,7 +224,8 @@ class WorkerPool:
 
 def workers_check(n_up: int, n_slots: int, restarts: int, trouble: str | None) -> HealthCheck:
     """Check that all processes run, and that none failed lately."""
-    detail = f"{n_up} of {n_slots} up, {restarts} restarts"
+    details = [message(Code.WORKERS_UP, processes=n_up, most=n_slots, restarts=restarts)]
     if trouble:
-        detail += f"; within the last minute: {trouble}"
+        details.append(message(Code.WORKER_FAILED, reported=trouble))
+    detail = joined(details)
     return health_check(detail, n_up, "processes", warn=n_up < n_slots or trouble is not None, fail=n_up == 0)

@@ -21,6 +21,7 @@ from drivers.files.bundle_file import Compression, read_bundle, read_header, wri
 from drivers.files.durable import copy_past_cache, replacing, sync
 from pipeline.frames import CameraId
 from service.base.errors import StoreError
+from service.base.messages import Code, message
 from service.base.status import Checks, trouble_check
 from service.processing.worker_pool import WorkerPool
 from service.processing.worker_process import lower_priority, worker_boundary
@@ -106,7 +107,7 @@ class RawArchive:
         """Why frames were not kept within the last `RECENT_S`, None if all were."""
         if time.monotonic() - self._last_left_out_s > RECENT_S:
             return None
-        return f"frames of {self.left_out} stones were not kept since the start: {self._last_reason}"
+        return message(Code.ARCHIVE_LEFT_OUT, stones=self.left_out, reported=str(self._last_reason))
 
     def checks(self) -> Checks:
         return {"archive": trouble_check(self.trouble, self.left_out, "left out")}

@@ -26,6 +26,7 @@ from drivers.files.recording import UNKNOWN_UTC, RecordingSource, RecordingWrite
 from pipeline.frames import BundleKind, FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from service.base.errors import ProblemError, ProblemKind
+from service.base.messages import Code, message
 from service.base.schema import request_body, require_ranges
 from service.base.status import Checks, trouble_check
 from service.recording.live_recording import EndedBy, LiveRecording, RecordingState, RecordingStatus
@@ -173,7 +174,8 @@ class Recordings:
         """Why the latest recording ended early or failed, None if it did not."""
         if self._last is None or not self._last.is_cut_short:
             return None
-        return f"recording {self._last.name}: {self._last.reason or self._last.ended_by}"
+        why = str(self._last.reason or self._last.ended_by)
+        return message(Code.RECORDING_CUT_SHORT, recording=self._last.name, reported=why)
 
     def checks(self) -> Checks:
         return {"recording": trouble_check(self.trouble)}

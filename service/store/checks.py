@@ -8,6 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from pipeline.frames import rfc3339
+from service.base.messages import Code, joined, message
 from service.base.status import Checks, HealthCheck, health_check, trouble_check
 from service.store.retention import Disk, RetentionLimits
 from service.store.store import Store
@@ -58,43 +59,43 @@ def store_check(
     trouble: StoreTrouble | None, incidents: Sequence[str], *, last_seq: int, n_waiting: int
 ) -> HealthCheck:
     """Check that results can be written, and that nothing was moved aside at a start."""
-    held = [] if trouble is None else [f"{trouble}; {n_waiting} stones wait for it"]
-    aside = [f"store.dir/{incident.removesuffix('.')}" for incident in incidents]
+    said = [] if trouble is None else [trouble.said, message(Code.STORE_AWAITED, stones=n_waiting)]
+    aside = "; ".join(f"store.dir/{incident.removesuffix('.')}" for incident in incidents)
     if aside:
-        aside.append("look at it, restore a backup if results are missing, then move it out of store.dir")
-    detail = "; ".join(held + aside) or None
-    return health_check(detail, last_seq, "results", warn=bool(aside), fail=bool(held))
+        said.append(message(Code.STORE_ASIDE, paths=aside))
+    detail = joined(said)
+    return health_check(detail, last_seq, "results", warn=bool(aside), fail=trouble is not None)
 
 
 def disk_check(free_bytes: int | None) -> HealthCheck:
     """Check that the file system of the store answers and has room."""
     if free_bytes is None:
-        return health_check("the file system of store.dir does not answer", fail=True)
+        return health_check(message(Code.DISK_SILENT), fail=True)
     is_low, is_lowest = free_bytes < LOW_DISK_BYTES, free_bytes < LOW_DISK_BYTES // 10
-    detail = f"{free_bytes / 1e9:.1f} GB free for results"
+    detail = message(Code.DISK_FREE, free_gb=free_bytes / 1e9)
     return health_check(detail, free_bytes, "bytes", warn=is_low, fail=is_lowest)
 
 
 def retention_checks(kept: RetentionFacts) -> Checks:
     """Return the checks of the days for which the disk suffices, unknown at first, and of what was removed."""
-    problems = [] if kept.trouble is None else [kept.trouble]
+    problems = [] if kept.trouble is None else [message(Code.RETENTION_FAILED, reported=kept.trouble)]
     if kept.overrun:
-        problems.append(
-            f"results were removed that {', '.join(kept.overrun)} had not read:"
-            " look at that consumer, or delete it (/consumers)"
-        )
+        problems.append(message(Code.CONSUMER_OVERRUN, consumers=", ".join(kept.overrun)))
     disk_days = health_check(None)
     if (use := kept.use) is not None:
         is_short = use.days_left is not None and use.days_left < kept.warn_days
-        detail = (
-            f"meshes and silhouettes take {use.files_bytes / 1e9:.1f} GB, results {use.results_bytes / 1e9:.1f} GB,"
-            f" recordings {kept.recordings_bytes / 1e9:.1f} GB"
+        bytes_of = {
+            "files": use.files_bytes,
+            "results": use.results_bytes,
+            "recordings": kept.recordings_bytes,
+        }
+        taken = message(
+            Code.DISK_TAKEN, **{f"{name}_gb": n_bytes / 1e9 for name, n_bytes in bytes_of.items()}
         )
-        if is_short:
-            detail += "; then the oldest files are removed: make room, or set limits in [store.retention]"
+        detail = joined([taken, *([message(Code.DISK_SHORT)] if is_short else [])])
         days_left = None if use.days_left is None else round(use.days_left, 1)
         disk_days = health_check(detail, days_left, "days", warn=is_short)
-    return {"disk_days": disk_days, "retention": trouble_check("; ".join(problems) or None)}
+    return {"disk_days": disk_days, "retention": trouble_check(joined(problems))}
 
 
 def store_use(connection: sqlite3.Connection, limits: RetentionLimits, disk: Disk, now: datetime) -> StoreUse:

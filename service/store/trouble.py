@@ -6,6 +6,8 @@ import sqlite3
 from dataclasses import dataclass
 from enum import StrEnum
 
+from service.base.messages import Code, CodedText, message
+
 
 class TroubleCause(StrEnum):
     """What is wrong with the disk or with the database."""
@@ -17,15 +19,6 @@ class TroubleCause(StrEnum):
     DAMAGED = "damaged"
     """The content of the database is not to be trusted any more; all other causes pass by themselves."""
 
-
-REMEDIES = {
-    TroubleCause.FULL: "make room on the disk of store.dir",
-    TroubleCause.LOCKED: "end the program that has the database of store.dir locked",
-    TroubleCause.UNWRITABLE: "make store.dir writable for the service: owner, mode, chattr, mount",
-    TroubleCause.DISK: "look at the disk of store.dir (journalctl -k)",
-    TroubleCause.DAMAGED: "restart the service, which sets the damaged database aside and begins a new one,"
-    " or stop it and restore a backup (stonefall restore)",
-}
 
 CAUSES_OF_SQLITE = {
     sqlite3.SQLITE_PERM: TroubleCause.UNWRITABLE,
@@ -52,7 +45,12 @@ class StoreTrouble:
     detail: str
 
     def __str__(self) -> str:
-        return f"{self.detail}: {REMEDIES[self.cause]}"
+        return self.said
+
+    @property
+    def said(self) -> CodedText:
+        """What it is, with the remedy."""
+        return message(Code(f"store_{self.cause}"), reported=self.detail)
 
 
 def trouble_of(error: Exception) -> StoreTrouble | None:

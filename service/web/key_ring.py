@@ -5,6 +5,7 @@ import sqlite3
 from collections.abc import Sequence
 
 from service.base.errors import StoreError
+from service.base.messages import Code, message
 from service.base.status import Checks, trouble_check
 from service.store import Store
 from service.store.keys import AccessKey, known_keys, sha256_of
@@ -36,7 +37,8 @@ class KeyRing:
 
     def checks(self) -> Checks:
         self.refresh()
-        return {"keys": trouble_check(self._trouble)}
+        trouble = self._trouble and message(Code.KEYS_UNREADABLE, reported=self._trouble)
+        return {"keys": trouble_check(trouble)}
 
     def refresh(self) -> None:
         """Read the keys if the store has changed since; a look at that takes microseconds.

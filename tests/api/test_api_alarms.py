@@ -8,7 +8,8 @@ import httpx
 import pytest
 from support.rest import FakeControl, app_of, assert_problem, client_of
 
-from service.base.status import CheckStatus, HealthCheck
+from service.base.messages import Code, message
+from service.base.status import CheckStatus, HealthCheck, health_check
 from service.health.alarms.alarms import Alarms, open_alarms
 from service.store import Store
 from service.store.event_log import EventLog
@@ -57,6 +58,24 @@ async def test_alarms_are_listed_by_priority_with_what_to_do(
     german = (await get(client, "/alarms", language="de"))["items"][0]
     assert german["action"].startswith("Triggerleitung")
     assert_problem(await client.get("/alarms?language=fr"), 422, "invalid-request")
+
+
+async def test_what_a_check_says_is_coded_and_worded_in_the_language_and_outlives_a_restart(
+    client: httpx.AsyncClient, store: Store, control: FakeControl, alarms: Alarms
+) -> None:
+    said = message(Code.TRIGGER_LINE_BLIND, triggers=5)
+    alarms.update({TRIGGER_LINE: health_check(said, fail=True)})
+    await client.post("/alarms/1/acknowledge")  # which is answered when it is written
+    control.alarms = await open_alarms(store, EventLog(store))
+    english, german = [
+        (await get(client, "/alarms", language=language))["items"][0] for language in ("en", "de")
+    ]
+    assert english["detail"] == english["said"] == german["detail"] == said
+    coded = {"code": "trigger_line_blind", "subjects": [], "parameters": {"triggers": 5}}
+    assert english["findings"] == german["findings"] == [coded]
+    assert german["said"].startswith("5 Auslösungen hintereinander ohne ein einziges Bild")
+    events = (await get(client, "/events"))["items"]
+    assert [event["data"]["findings"] for event in events] == [[coded]] * 2
 
 
 async def test_somebody_takes_note_and_the_audit_says_who(

@@ -52,7 +52,7 @@ DETAILS: dict[str, tuple[dict[str, Any], Sequence[EventType]]] = {
         _details(
             "Details of an event of an alarm; its check is the `subject`.",
             AlarmDocument,
-            but=["check", "changed_at", "cause", "action"],
+            but=["check", "changed_at", "cause", "action", "said"],
         ),
         [each for each in EventType if each.startswith("alarm.")],
     ),

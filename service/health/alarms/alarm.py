@@ -2,6 +2,7 @@
 
 from enum import StrEnum
 
+from service.base.messages import CodedFinding
 from service.base.schema import OptionalTime, Time, served
 from service.health.alarms.rules import Priority
 
@@ -40,6 +41,8 @@ class Alarm:
     """The highest since it was raised."""
     detail: str | None
     """What the check says."""
+    findings: tuple[CodedFinding, ...] = ()
+    """The same, as codes with their parameters."""
     raised_at: Time
     """When it was first raised, RFC 3339 UTC."""
     changed_at: Time

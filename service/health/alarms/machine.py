@@ -15,6 +15,7 @@ from http import HTTPStatus
 from typing import Any
 
 from service.base.errors import ProblemError, ProblemKind
+from service.base.messages import CodedFinding
 from service.base.status import HealthCheck
 from service.health.alarms.alarm import ACTIVE, ANNOUNCED, Alarm, AlarmState
 from service.health.alarms.rules import Priority, Rule, Rules
@@ -48,10 +49,11 @@ class _Watched:
     free_since_s: float | None = None  # of parents that suppress it
     priority: Priority | None = None
     detail: str | None = None
+    findings: tuple[CodedFinding, ...] = ()
 
     def look(self, check: HealthCheck | None, now_s: float) -> None:
         self.priority = None if check is None else self.rule.priority(check.status)
-        self.detail = None if check is None else check.detail
+        self.detail, self.findings = (None, ()) if check is None else (check.detail, check.findings)
         is_bad = self.priority is not None
         if is_bad != self.is_bad:
             self.is_bad, self.since_s = is_bad, now_s
@@ -104,7 +106,7 @@ class AlarmMachine:
             if change is not None:
                 changes.append(self._keep(change))
             elif before is not None and before.state in ACTIVE and watched.priority is not None:
-                self._alarms[name] = replace(before, detail=watched.detail)
+                self._alarms[name] = replace(before, detail=watched.detail, findings=watched.findings)
         return changes
 
     def acknowledge(self, number: int, who: str, at: str) -> Change | None:
@@ -175,6 +177,7 @@ class AlarmMachine:
                 state=AlarmState.SUPPRESSED if is_suppressed else AlarmState.UNACKNOWLEDGED,
                 priority=priority,
                 detail=watched.detail,
+                findings=watched.findings,
                 raised_at=at,
                 changed_at=at,
             )
@@ -232,6 +235,7 @@ def _raised(alarm: Alarm, watched: _Watched, at: str, **more: Any) -> Change:
         at,
         priority=min(known, key=lambda each: each.rank),
         detail=watched.detail or alarm.detail,
+        findings=watched.findings or alarm.findings,
         acknowledged_at=None,
         acknowledged_by=None,
         **more,

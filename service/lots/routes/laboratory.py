@@ -7,6 +7,7 @@ from fastapi import APIRouter, Path, Query, Response
 from pydantic import BaseModel, Field, TypeAdapter
 
 from pipeline.gradation.correlation import MappingForm
+from service.base.messages import Code, message
 from service.base.schema import Name, OptionalTime, RequestBody, Time
 from service.lots.comparing import Conditions, SampleStudy, sample_study
 from service.lots.correlations import (
@@ -312,4 +313,4 @@ def _sieving(wanted: SievingRequest) -> tuple[Sieving, str]:
     retained_g = {float(aperture): grams for aperture, grams in given.items()}
     if len(retained_g) < len(given):
         raise SievingError("retained_g: a sieve is there twice")
-    return Sieving(retained_g=retained_g, pan_g=wanted.pan_g, **words), "retained in g by aperture in mm"
+    return Sieving(retained_g=retained_g, pan_g=wanted.pan_g, **words), message(Code.RETAINED_BY_APERTURE)

@@ -9,6 +9,7 @@ from enum import StrEnum
 from itertools import zip_longest
 from typing import NamedTuple
 
+from service.base.messages import Code, CodedText, message
 from service.lots.laboratory import SievingError
 
 MOST_COLUMNS = 20
@@ -77,11 +78,9 @@ class LabColumn:
     is_unit_assumed: bool = False
 
     @property
-    def title(self) -> str:
-        if self.kind is Word.LOT:
-            return f"column {self.number}: lot"
-        kind = "cumulative retained" if self.kind is Word.CUMULATIVE else self.kind
-        return f"column {self.number}: {kind} in {self.unit_name}"
+    def title(self) -> CodedText:
+        unit = {} if self.kind is Word.LOT else {"unit": self.unit_name}
+        return message(Code(f"column_{self.kind}"), column=self.number, **unit)
 
 
 class TableLine(NamedTuple):

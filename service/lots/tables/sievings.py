@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from pipeline.gradation.curve import retained_to_passing
+from service.base.messages import Code, joined, message
 from service.lots.laboratory import MOST_SIEVES, Sieving, SievingError
 from service.lots.tables.heads import EXAMPLES, LabColumn, Quantity, TableLine, Word, columns_of, lines_of
 from service.lots.tables.numbers import BLANK, MARK_NAMES, TOTAL, Number, cell_of, numbers_of
@@ -83,7 +84,8 @@ def read_tables(text: str) -> dict[str | None, ReadTable]:
         if (cell := cell_of(line, column, name)) is not None
     ]
     numbers, mark = numbers_of(cells)
-    understood = [*(column.title for column in columns), *([f"decimal {MARK_NAMES[mark]}"] if mark else [])]
+    marks = [message(Code(f"decimal_{MARK_NAMES[mark]}"))] if mark else []
+    understood = joined([*(column.title for column in columns), *marks])
     rows: dict[str | None, list[SieveRow]] = {}
     lot_column = next((column for column in columns if column.kind is Word.LOT), None)
     for line, name in zip(lines, names, strict=True):
@@ -92,7 +94,7 @@ def read_tables(text: str) -> dict[str | None, ReadTable]:
     if not rows:
         raise SievingError("table: needs sieves below its head")
     return {
-        lot: ReadTable(sieving=_sieving(of, columns), understood="; ".join(understood), line=of[0].line)
+        lot: ReadTable(sieving=_sieving(of, columns), understood=understood or "", line=of[0].line)
         for lot, of in rows.items()
     }
 

@@ -8,6 +8,7 @@ from support.configurations import KEY, REPLAY
 from support.recordings import make_bundle, write_recording
 
 from service.base.errors import StoreError
+from service.base.messages import Code, message
 from service.base.status import trouble_check
 from service.configuration.settings import Settings, load_settings
 from service.daemon.reloading import Configuration, differences, with_live
@@ -58,7 +59,7 @@ async def test_what_can_be_applied_is_and_the_rest_is_named(file: Path, store: S
     assert configuration.state.restart_needed_for == ("store.keep_raw", "workers.slots")
     assert configuration.state.problem is None
     assert configuration.checks() == {
-        "configuration": trouble_check("a restart is needed for store.keep_raw, workers.slots")
+        "configuration": trouble_check(message(Code.RESTART_NEEDED, settings="store.keep_raw, workers.slots"))
     }
     (entry,) = await store.read(entries, None, 0, 10)
     assert (entry.who, entry.action, entry.subject) == ("SIGHUP", "configuration", str(file))

@@ -14,6 +14,7 @@ from support.eventually import PATIENCE_S, soon
 from support.outcomes import add, measured, trigger
 
 from service.base.language import Language
+from service.base.messages import Code, message
 from service.base.status import trouble_check
 from service.daemon.lot_files import FilesFailedError, lot_files
 from service.delivery.file_drop import ANSWER_S, FileDrop, LotFiles, due_lots, open_file_drop
@@ -202,7 +203,8 @@ async def test_a_folder_that_takes_nothing_is_told_and_made_up_for(
     async with dropping(drop, Files(store)):
         await closed(store, session, "L1")
         await soon(lambda: drop.trouble is not None)
-        assert drop.checks() == {"file_drop": trouble_check(f"{folder}: {words}")}
+        said = message(Code.FILES_NOT_WRITTEN, reported=f"{folder}: {words}")
+        assert drop.checks() == {"file_drop": trouble_check(said)}
         assert await store.read(results_after, 0, 1)  # nothing else is held up
         present(folder)
         await until_there(folder, "L1-1.csv")

@@ -2,6 +2,7 @@
 
 from support.outcomes import result
 
+from service.base.messages import Code, message
 from service.base.status import trouble_check
 from service.health.segmentation_watch import WINDOW, SegmentationWatch
 from service.processing.measure_job import MeasuredBundle
@@ -49,4 +50,4 @@ def test_what_was_known_from_the_start_stays() -> None:
     watch = SegmentationWatch(SegmenterPlan(wanted="auto", trouble="roi.onnx: is damaged"))
     watch.feed(RUNS)
     check = watch.checks(has_background=True)["segmentation"]
-    assert check == trouble_check("classical mode: roi.onnx: is damaged")
+    assert check == trouble_check(message(Code.SEGMENTATION_CLASSICAL, reported="roi.onnx: is damaged"))

@@ -8,6 +8,7 @@ import pytest
 from drivers.files.bundle_file import overwrite_bundle
 from drivers.files.recording import read_bundle
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger
+from service.base.messages import Code, message
 from service.base.status import trouble_check
 from service.processing.left_bundles import (
     MAX_BUNDLES,
@@ -121,7 +122,7 @@ def test_a_bundle_that_ends_every_daemon_is_given_up(spool: Spool) -> None:
         path = spool.left[-1].content
     assert taken == [(1, "innocent")]
     assert spool.quarantine.checks() == {
-        "quarantine": trouble_check("no worker survived 1-poison.tiff", 1, "bundles")
+        "quarantine": trouble_check(message(Code.QUARANTINE, bundles="1-poison.tiff"), 1, "bundles")
     }
     assert read_bundle(spool.quarantine.folder / "1-poison.tiff", CAMERAS).name == "poison"
 

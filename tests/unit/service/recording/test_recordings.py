@@ -103,9 +103,8 @@ async def test_failures_are_told_until_the_next_recording(tmp_path: Path):
     stopped = await recordings.stop("r1")
     assert stopped is not None
     assert stopped.state is RecordingState.FAILED
-    assert recordings.checks() == {
-        "recording": trouble_check("recording r1: nothing was recorded, it ended by stop")
-    }
+    assert recordings.trouble == "recording r1: nothing was recorded, it ended by stop"
+    assert recordings.checks() == {"recording": trouble_check(recordings.trouble)}
     assert await recordings.all() == [stopped]
     await recordings.start(RecordingRequest(name="r1", count=1))  # a name that holds nothing is free
     assert recordings.trouble is None

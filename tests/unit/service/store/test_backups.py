@@ -24,6 +24,7 @@ from typer.testing import CliRunner
 
 from service.base import aside
 from service.base.errors import StoreError
+from service.base.messages import Code, message
 from service.base.status import trouble_check
 from service.commands.cli import build_app
 from service.configuration.settings import StoreSettings
@@ -208,7 +209,7 @@ async def test_backups_are_made_by_themselves_and_a_failure_is_told() -> None:
     task = asyncio.create_task(backing_up.run())
     while backing_up.trouble is None:  # noqa: ASYNC110 - it is no event
         await asyncio.sleep(0)
-    assert backing_up.checks() == {"backup": trouble_check("no room")}
+    assert backing_up.checks() == {"backup": trouble_check(message(Code.BACKUP_FAILED, reported="no room"))}
     await asyncio.wait_for(store.made.wait(), PATIENCE_S)
     while backing_up.trouble is not None:  # noqa: ASYNC110 - as above
         await asyncio.sleep(0)
