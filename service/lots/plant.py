@@ -57,6 +57,11 @@ class PlantSettings:
         return None if self.time_zone is None else zone_of(self.time_zone)
 
     @property
+    def name(self) -> str:
+        """Plant, line and instrument in the heads of pages; empty if none is given."""
+        return ", ".join(each for each in (self.plant, self.line, self.instrument_serial) if each)
+
+    @property
     def texts(self) -> dict[str, str | None]:
         """What a report says of the plant, by the names of the settings."""
         return {name: getattr(self, name) for name in ("plant", "line", "instrument_serial", "laboratory")}

@@ -49,6 +49,8 @@ class ApiContext:
     reading: Reading
     """Where meshes, pictures and big pages are made: clients must not take the processor from measuring."""
     sessions: Sessions
+    site: Callable[[], str] = str
+    """Returns the name of plant and instrument, which pages have in their heads; empty without one."""
     shared: SharedAnswers = field(default_factory=SharedAnswers)
     waking: Pace = field(default_factory=Pace)
     """Long polls are answered one after the other, although a result wakes all of them at once."""

@@ -2,13 +2,13 @@
 
 import logging
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from typing import Any, TypeVar
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.routing import compile_path
@@ -147,10 +147,13 @@ def problem_response(request: Request, problem: Problem) -> JSONResponse:
     )
 
 
-def install_handlers(app: FastAPI) -> None:
-    """Answer every exception of a route as a problem."""
+def install_handlers(app: FastAPI, missing_page: Callable[[Request], Response | None]) -> None:
+    """Answer every exception of a route as a problem, or an address that is not there as a page to who wants one."""
 
-    async def answer(request: Request, error: Exception) -> JSONResponse:
+    async def answer(request: Request, error: Exception) -> Response:
+        is_missing = isinstance(error, HTTPException) and error.status_code == HTTPStatus.NOT_FOUND
+        if is_missing and (page := missing_page(request)) is not None:
+            return page
         return problem_response(request, _problem_of_any(request, error))
 
     for kind in (HTTPException, RequestValidationError, ProblemError, StoreError, OSError, Exception):

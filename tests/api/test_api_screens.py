@@ -6,7 +6,10 @@ import re
 
 import httpx
 import pytest
+from support.rest import FakeControl
 
+from service.base.status import Ne107
+from service.lots.plant import PlantSettings
 from service.web.routes.screens import PAGES, POLICY, ROOT, installed_screens
 
 HOST = "http://127.0.0.1:8080"
@@ -49,7 +52,7 @@ def test_all_modules_that_a_script_imports_are_there() -> None:
 @pytest.mark.parametrize("address", PAGES)
 def test_a_page_names_all_its_scripts_at_once(address: str) -> None:
     shown = installed_screens()
-    names = re.findall(r'"modulepreload" href="\S+/(scripts/\S+)"', shown.pages[address].content.decode())
+    names = re.findall(r'"modulepreload" href="\S+/(scripts/\S+)"', shown.pages[PAGES[address].name])
     assert names[0] == f"scripts/{PAGES[address].name}.js" and len(names) == len(set(names))
     for path in names:
         for name in re.findall(
@@ -82,3 +85,34 @@ async def test_nothing_else_is_served(client: httpx.AsyncClient, path: str) -> N
     answer = await client.get(f"{HOST}{ROOT}/{path.replace('VERSION', installed_screens().version)}")
     assert answer.status_code == 404
     assert answer.headers["Content-Type"] == "application/problem+json"
+
+
+async def test_an_address_that_is_not_there_is_a_page_for_people_and_a_problem_for_clients(
+    client: httpx.AsyncClient,
+) -> None:
+    browsers = {"Accept": "text/html,application/xhtml+xml,*/*;q=0.8"}
+    page = await client.get(HOST + "/nowhere", headers=browsers)
+    assert page.status_code == 404 and page.headers["Content-Type"] == "text/html; charset=utf-8"
+    assert page.headers["Content-Security-Policy"] == POLICY and 'data-word="missing.title"' in page.text
+    for address, headers in (("/nowhere", {}), ("/api/v1/nowhere", browsers), ("/api/v1/lots/L9", browsers)):
+        problem = await client.get(HOST + address, headers=headers)
+        assert problem.status_code == 404
+        assert problem.headers["Content-Type"] == "application/problem+json", address
+
+
+async def test_pages_have_the_names_of_plant_and_instrument_in_title_and_head(
+    client: httpx.AsyncClient, control: FakeControl
+) -> None:
+    plain = await client.get(HOST)
+    assert "<title>stonefall</title>" in plain.text and ">stonefall</a>" in plain.text
+    control.plant = PlantSettings(plant="Nord <1>", line="Linie 2", instrument_serial="SF-7")
+    named = await client.get(HOST, headers={"If-None-Match": plain.headers["ETag"]})
+    assert "<title>Nord &lt;1&gt;, Linie 2, SF-7 – stonefall</title>" in named.text
+    assert ">Nord &lt;1&gt;, Linie 2, SF-7 – stonefall</a>" in named.text
+
+
+async def test_every_state_has_an_icon(client: httpx.AsyncClient) -> None:
+    shown = installed_screens()
+    for name in ("stonefall", *Ne107):
+        icon = await client.get(f"{HOST}{ROOT}/{shown.version}/icons/{name}.svg")
+        assert icon.status_code == 200 and icon.headers["Content-Type"].startswith("image/svg+xml")

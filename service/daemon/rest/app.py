@@ -19,6 +19,7 @@ import service.reports.routes
 import service.web.routes
 from service.daemon.overview.overviews import Overviews
 from service.daemon.rest.description import DESCRIPTION, SERVERS, TAGS, complete
+from service.lots.plant import PlantSettings
 from service.store import Store
 from service.web.auth import has_right_key
 from service.web.body_limit import with_body_limit
@@ -64,7 +65,13 @@ def create_app(
     """Build the application that serves `store` and steers `control`; what takes long is made by `reading`."""
     app = build_routes()
     app.state.context = ApiContext(
-        store=store, control=control, settings=settings, reading=reading, keys=keys, sessions=Sessions(store)
+        store=store,
+        control=control,
+        settings=settings,
+        reading=reading,
+        keys=keys,
+        sessions=Sessions(store),
+        site=lambda: control.part(PlantSettings).name,
     )
     app.state.overviews = Overviews(store, control)
     app.add_middleware(keeping_answers, store=store)  # the innermost: what the others refuse is not kept
@@ -108,7 +115,7 @@ def build_routes() -> FastAPI:
             headers={"Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'"},
         )
 
-    install_handlers(app)
+    install_handlers(app, screens.missing_page)
     generate = app.openapi
 
     @cache

@@ -2,8 +2,10 @@
 
 import { get, remove } from "./api.js";
 import { byId, html, setText, show } from "./dom.js";
+import { explained } from "./forms.js";
 import { LANGUAGES, language, loadWords, speak, word } from "./words.js";
 
+const SITE = document.title; // names of plant and instrument, and "stonefall"
 const THEMES = ["auto", "light", "dark"];
 
 /** Put words on the page and what one can choose into its head; every page begins with it. */
@@ -15,11 +17,17 @@ export async function startPage() {
   get("/overview").then(showOrigin).catch(() => {}); // a page that follows the rig calls it again
 }
 
-/** Say why the page does not show what was asked for. */
-export const showProblem = (error) => setText(byId("problem"), error.message);
+/** Put what the page shows before the name of the site, in the title of its tab. */
+export const titled = (text) => (document.title = `${text} – ${SITE}`);
 
-/** Say at the top of the page whether what it shows fell, or is made up or played. */
-export function showOrigin({ is_simulated: isSimulated, is_replay: isReplay }) {
+/** Say why the page does not show what was asked for. */
+export const showProblem = (error) => setText(byId("problem"), explained(error));
+
+/** Say at the top of the page whether what it shows fell, or is made up or played, and in its tab in which state the rig is. */
+export function showOrigin({ is_simulated: isSimulated, is_replay: isReplay, ne107 }) {
+  const icon = new URL(`../icons/${ne107}.svg`, import.meta.url).href;
+  const link = document.querySelector("link[rel=icon]");
+  if (link.href !== icon) link.href = icon;
   showBanner("origin", isSimulated ? word("header.simulated") : isReplay ? word("header.replayed") : null);
 }
 

@@ -11,7 +11,8 @@ import posixpath
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
+from html import escape
 from pathlib import Path
 
 from fastapi import APIRouter, HTTPException, Request
@@ -19,9 +20,12 @@ from fastapi.responses import Response
 
 from service import screens
 from service.base.language import Language, figure_names
+from service.base.messages import message_words
 from service.base.templates import templates_in
+from service.web.context import Context
 from service.web.etags import unchanged
 from service.web.gzipped import TakesGzip
+from service.web.version import BASE
 
 router = APIRouter(include_in_schema=False)
 
@@ -49,6 +53,10 @@ PAGES = {
     "/sign-in": Page("sign-in"),
 }
 """All pages by address; the header links those that are a section, in this order."""
+MISSING = Page("missing")
+"""The page of an address that there is none at."""
+SITE = "@site@"
+"""Stands in a page where the name of plant and instrument comes."""
 ROOT = "/screens"
 PACKAGES = "packages.json"
 """File that lists what was fetched from npm, so that a page need not try."""
@@ -84,10 +92,10 @@ class File:
 
 @dataclass(frozen=True, slots=True)
 class Screens:
-    """All pages by address, and their files by path."""
+    """All pages by name, `SITE` still in them, and their files by path."""
 
     version: str
-    pages: Mapping[str, File]
+    pages: Mapping[str, str]
     files: Mapping[str, File]
 
 
@@ -100,20 +108,21 @@ def installed_screens() -> Screens:
     contents[PACKAGES] = json.dumps(packages).encode()
     for language in Language:
         words = json.loads(contents[path := f"words/{language}.json"])
-        contents[path] = json.dumps({**words, **figure_names(language)}, ensure_ascii=False).encode()
+        contents[path] = json.dumps(
+            {**words, **figure_names(language), **message_words(language)}, ensure_ascii=False
+        ).encode()
     digest = hashlib.sha256(repr(PAGES).encode())
     for path, content in contents.items():
         digest.update(f"{path}\0{len(content)}\0".encode() + content)
     version = digest.hexdigest()[:16]
     templates = templates_in(folder / "pages")
 
-    def rendered(page: Page) -> File:
-        html = templates.get_template(f"{page.name}.html").render(
-            page=page, pages=PAGES, files=f"{ROOT}/{version}", scripts=_scripts(page, contents)
+    def rendered(page: Page) -> str:
+        return templates.get_template(f"{page.name}.html").render(
+            page=page, pages=PAGES, files=f"{ROOT}/{version}", scripts=_scripts(page, contents), site=SITE
         )
-        return File.of(html.encode(), MEDIA_TYPES[".html"])
 
-    pages = {address: rendered(page) for address, page in PAGES.items()}
+    pages = {page.name: rendered(page) for page in (*PAGES.values(), MISSING)}
     files = {
         path: File.of(content, MEDIA_TYPES[Path(path).suffix])
         for path, content in contents.items()
@@ -138,12 +147,27 @@ def _read(folder: Path) -> Iterator[tuple[str, bytes]]:
             yield path.relative_to(folder).as_posix(), path.read_bytes()
 
 
-async def page(request: Request, compressed: TakesGzip) -> Response:
+@lru_cache(maxsize=64)
+def _page_of(name: str, site: str) -> File:
+    html = installed_screens().pages[name].replace(SITE, escape(f"{site} – " if site else ""))
+    return File.of(html.encode(), MEDIA_TYPES[".html"])
+
+
+async def page(request: Request, context: Context, compressed: TakesGzip) -> Response:
     """Return the page of this address."""
-    shown = installed_screens()
-    tag = f'"{shown.version}"'
+    found = _page_of(PAGES[request.scope["route"].path].name, context.site())
+    tag = f'"{hashlib.sha256(found.content).hexdigest()[:16]}"'
     headers = {"ETag": tag, "Cache-Control": "no-cache", "Content-Security-Policy": POLICY}
-    return unchanged(request, tag) or _response(shown.pages[request.scope["route"].path], compressed, headers)
+    return unchanged(request, tag) or _response(found, compressed, headers)
+
+
+def missing_page(request: Request) -> Response | None:
+    """Return the page that says that there is none at this address; None for who wants no page, and within REST."""
+    if request.scope["path"].startswith(BASE) or "text/html" not in request.headers.get("accept", ""):
+        return None
+    found = _page_of(MISSING.name, request.app.state.context.site())
+    headers = {"Cache-Control": "no-store", "Content-Security-Policy": POLICY, **HEADERS}
+    return Response(found.content, 404, media_type=found.media_type, headers=headers)
 
 
 for _address, _page in PAGES.items():
