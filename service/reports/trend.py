@@ -2,6 +2,7 @@
 
 import sqlite3
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timedelta, tzinfo
 from enum import StrEnum
 from itertools import groupby
@@ -10,9 +11,12 @@ from math import floor, log10
 from pipeline.gradation.estimates import NOT_MEASURED, Estimate, State
 from pipeline.gradation.sieves import MeasuredRange
 from service.base.language import Language
+from service.lots.products import find_product
 from service.lots.trends.changes import ChangedFigure
+from service.lots.trends.control import LotLimits, lot_limits, product_alarms
 from service.lots.trends.diary import DiaryEntry
-from service.lots.trends.trend import Trend, TrendBucket, trend
+from service.lots.trends.trend import PassingEnd, Trend, TrendBucket, ends_mm, trend
+from service.lots.yardsticks import Request, yardstick_of
 from service.reports.drawing import (
     DRAWING_WIDTH,
     LABEL_SIZE,
@@ -58,28 +62,57 @@ class TrendFigure(StrEnum):
     D50 = "d50"
     FLAKINESS = "flakiness"
     SHAPE = "shape"
+    PASSING_LOWER = "passing_lower"
+    PASSING_UPPER = "passing_upper"
 
+    @property
+    def end(self) -> PassingEnd | None:
+        """End of the product's range whose sieve it is of; None for other figures."""
+        ends = {TrendFigure.PASSING_LOWER: PassingEnd.LOWER, TrendFigure.PASSING_UPPER: PassingEnd.UPPER}
+        return ends.get(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProductTrend:
+    """What a product adds to a trend: the sieve of a passing, control limits of its lots, its alarms."""
+
+    sieve_mm: float | None = None
+    limits: LotLimits | None = None
+    alarms: Sequence[str] = ()
+
+
+NO_PRODUCT = ProductTrend()
 
 Values = Sequence[tuple[datetime, Estimate]]
 """The figure of each bucket, at its middle."""
 
 
-def trend_svg(trend: Trend, figure: TrendFigure, language: Language, zone: tzinfo | None = None) -> str:
+def trend_svg(
+    trend: Trend,
+    figure: TrendFigure,
+    language: Language,
+    zone: tzinfo | None = None,
+    product: ProductTrend = NO_PRODUCT,
+) -> str:
     """Return the drawing of one figure; clock times are of `zone`, by default the host's."""
     say = words(language)
-    values = [_value(bucket, figure, trend.bucket_s) for bucket in trend.buckets]
-    axes = _Axes(trend, values, starts_at_zero=figure is TrendFigure.RATE)
-    title = say(f"trend.{figure}")
+    values = [_value(bucket, figure, trend.bucket_s, product.sieve_mm) for bucket in trend.buckets]
+    axes = _Axes(trend, values, product.limits, starts_at_zero=figure is TrendFigure.RATE)
+    title = _title(figure, product.sieve_mm, say)
     drawing = Drawing(
         height=268.0,
         title=title,
         description=_description(title, trend, values, say, zone, axes.decimals),
         shapes=(
             *_grid(axes, title, say, zone),
+            *_limits(product.limits, axes),
             *_lots(trend, axes),
             *_line(values, axes, say),
             *_marks(trend, axes, say),
-            *FIELD.legend(_legend_entries(trend, values, say), LOTS_BOTTOM + 1.6 * LABEL_SIZE, gap=14),
+            *(_alarm(axes.x(datetime.fromisoformat(at)), FIELD.bottom) for at in product.alarms),
+            *FIELD.legend(
+                _legend_entries(trend, values, product, say), LOTS_BOTTOM + 1.6 * LABEL_SIZE, gap=14
+            ),
         ),
     )
     return svg(drawing, language)
@@ -92,15 +125,36 @@ def stored_trend_svg(
     measured: MeasuredRange,
     figure: TrendFigure,
     language: Language,
+    product: str | None = None,
 ) -> str:
-    """Return the drawing of one figure over the last hours, made on a connection to the store."""
-    return trend_svg(trend(connection, now, hours, measured), figure, language)
+    """Return the drawing of one figure over the last hours, made on a connection to the store.
+
+    With a product it has the control limits of its lots, and the alarms of the product. Without one, or one that has no
+    such end, passing at d or D is a trend without values.
+    """
+    found = None if product is None else find_product(connection, product)
+    sieve_mm, name = None, str(figure)
+    if figure.end is None:
+        name = ChangedFigure[figure.name]
+    elif found is not None:
+        apertures_mm = yardstick_of(found, Request(measured=measured)).apertures_mm
+        sieve_mm = ends_mm(found.definition, apertures_mm).get(figure.end)
+        name = f"passing_{sieve_mm or 0.0:g}_mm_percent"
+    drawn = trend(connection, now, hours, measured, () if sieve_mm is None else (sieve_mm,))
+    of_product = ProductTrend(
+        sieve_mm=sieve_mm,
+        limits=None if found is None else lot_limits(connection, found.product, name),
+        alarms=product_alarms(connection, drawn.since, drawn.until),
+    )
+    return trend_svg(drawn, figure, language, product=of_product)
 
 
 class _Axes:
     """Places of times and values on the paper."""
 
-    def __init__(self, trend: Trend, values: Values, *, starts_at_zero: bool) -> None:
+    def __init__(
+        self, trend: Trend, values: Values, limits: LotLimits | None = None, *, starts_at_zero: bool
+    ) -> None:
         self.since, self.until = (datetime.fromisoformat(each) for each in (trend.since, trend.until))
         is_judged = any(each.state is not State.INSUFFICIENT for _, each in values)
         ends = [
@@ -109,6 +163,7 @@ class _Axes:
             for end in (each.value, *(() if is_judged and _is_few(each) else (each.low, each.high)))
             if end is not None
         ]
+        ends += [] if limits is None else [max(limits.lower, 0.0), limits.upper]
         low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
         if starts_at_zero:
             low = 0.0
@@ -153,9 +208,21 @@ def nice_step(least: float) -> float:
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= least * 0.999)
 
 
-def _value(bucket: TrendBucket, figure: TrendFigure, bucket_s: float) -> tuple[datetime, Estimate]:
+def _title(figure: TrendFigure, sieve_mm: float | None, say: Words) -> str:
+    if figure.end is not None and sieve_mm is not None:
+        return say("control.passing", sieve=say.size(sieve_mm))
+    return say(f"trend.{figure}")
+
+
+def _value(
+    bucket: TrendBucket, figure: TrendFigure, bucket_s: float, sieve_mm: float | None
+) -> tuple[datetime, Estimate]:
     since, until = datetime.fromisoformat(bucket.since), datetime.fromisoformat(bucket.until)
-    found: Estimate | float = getattr(bucket, ChangedFigure[figure.name])
+    found: Estimate | float
+    if figure.end is None:
+        found = getattr(bucket, ChangedFigure[figure.name])
+    else:
+        found = NOT_MEASURED if sieve_mm is None else bucket.passing_percent[sieve_mm]
     if not isinstance(found, Estimate):
         is_short = (until - since).total_seconds() < LEAST_PART * bucket_s
         found = NOT_MEASURED if is_short else Estimate(state=State.MEASURED, value=found)
@@ -192,7 +259,11 @@ def _line(values: Values, axes: _Axes, say: Words) -> Iterator[Shape]:
             if is_judged:
                 yield _band(list(judged), axes)
         points = [axes.point(at, each.value or 0.0) for at, each in members]
-        yield line(points, Style.CURVE)
+        for is_joined, run in groupby(
+            zip(points, members, strict=True), lambda each: not _is_few(each[1][1])
+        ):
+            if is_joined:  # a figure of few stones, such as the youngest one, is no trend
+                yield line([point for point, _ in run], Style.CURVE)
         for point, (_, each) in zip(points, members, strict=True):
             yield dot(point, DOT_RADIUS, Style.INSUFFICIENT if _is_few(each) else Style.NO_LIMITS)
 
@@ -203,6 +274,22 @@ def _band(judged: Values, axes: _Axes) -> Shape:
     if len(judged) > 1:
         return area((*high, *reversed(low)), Style.BAND)
     return line((*low, *high), Style.CURVE)
+
+
+def _limits(limits: LotLimits | None, axes: _Axes) -> Iterator[Shape]:
+    if limits is not None:
+        for value, style in (
+            (limits.lower, Style.LIMIT),
+            (limits.centre, Style.FRAME),
+            (limits.upper, Style.LIMIT),
+        ):
+            if value >= axes.least:
+                yield line(((FIELD.left, axes.y(value)), (FIELD.right, axes.y(value))), style)
+
+
+def _alarm(x: float, y: float) -> Shape:
+    """Return the mark of an alarm: a triangle that stands on the time, of another shape than the diary's."""
+    return area(((x - 5, y), (x + 5, y), (x, y - 9)), Style.DOES_NOT_CONFORM)
 
 
 def _marks(trend: Trend, axes: _Axes, say: Words) -> Iterator[Shape]:
@@ -242,7 +329,9 @@ def _lots(trend: Trend, axes: _Axes) -> Iterator[Shape]:
             yield label(((left + right) / 2, LOTS_BOTTOM - 4), lot.lot, Anchor.MIDDLE)
 
 
-def _legend_entries(trend: Trend, values: Values, say: Words) -> Iterator[tuple[Sign, str]]:
+def _legend_entries(
+    trend: Trend, values: Values, product: ProductTrend, say: Words
+) -> Iterator[tuple[Sign, str]]:
     def value(x: float, y: float) -> Iterator[Shape]:
         if has_band:
             yield box(x, y - 5, x + 24, y + 5, Style.BAND)
@@ -256,6 +345,10 @@ def _legend_entries(trend: Trend, values: Values, say: Words) -> Iterator[tuple[
         yield value, say("trend.value")
     if any(_is_few(each) for _, each in values):
         yield lambda x, y: [dot((x + 12, y), DOT_RADIUS, Style.INSUFFICIENT)], say("trend.few")
+    if product.limits is not None:
+        yield lambda x, y: [line(((x, y), (x + 24, y)), Style.LIMIT)], say("trend.limits")
+    if product.alarms:
+        yield lambda x, y: [_alarm(x + 12, y + 4)], say("trend.alarm")
     if trend.diary:
         yield lambda x, y: [_mark(x + 12, y + 2)], say("trend.diary")
     if trend.lots:

@@ -1,6 +1,7 @@
 """Trends, the crusher's diary and its changes over REST, and comparisons of lots."""
 
 import hashlib
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from xml.etree import ElementTree
 
@@ -12,6 +13,7 @@ from support.rest import FakeControl, app_of, assert_problem, client_of
 
 from pipeline.frames import rfc3339
 from service.store import Store
+from service.store.events import EventType, NewEvent, note_event
 from service.web.settings import ApiKey, ApiSettings, Scope
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -46,6 +48,30 @@ async def test_a_trend_is_followed_and_drawn(client: httpx.AsyncClient, store: S
     assert "Spalt 25 mm" in german
     assert_problem(await client.get("/trends/weight.svg"), 422, "invalid-request")
     assert_problem(await client.get("/trends?hours=721"), 422, "invalid-request")
+
+
+async def test_a_trend_of_a_product_has_its_passing_its_limits_and_its_alarms(
+    client: httpx.AsyncClient, store: Store
+) -> None:
+    await put_product(client)
+    await fallen(store, 50, 40)
+    of_product = "hours=1&product=basalt-8-16"
+    titles = {}
+    for figure in ("passing_lower", "passing_upper"):
+        text = (await client.get(f"/trends/{figure}.svg?{of_product}")).text
+        root = ElementTree.fromstring(text)  # noqa: S314 - of our own making
+        titles[figure] = root.findtext(f"{SVG}title")
+        assert any(each.get("class") == "curve" for each in root.iter(f"{SVG}polyline"))
+        assert "control limits" not in text and "alarm of the product" not in text
+        nothing = (await client.get(f"/trends/{figure}.svg?hours=1")).text  # no product, no sieve
+        assert "nothing was measured" in nothing
+    assert len(set(titles.values())) == 2 and all("Passing" in str(each) for each in titles.values())
+    limits = {"limits": {"d50_mm": {"centre": 14.0, "sd": 0.5}}}
+    assert (await client.put("/products/basalt-8-16/control", json=limits)).status_code == 200
+    raised = NewEvent(type=EventType.ALARM_RAISED, subject="drift", data={})
+    await store.write(note_event, replace(raised, at=ago(5)))
+    text = (await client.get(f"/trends/d50.svg?{of_product}")).text
+    assert "alarm of the product" in text
 
 
 async def test_a_trend_of_nothing_says_so(client: httpx.AsyncClient) -> None:

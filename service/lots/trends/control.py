@@ -21,7 +21,7 @@ from pipeline.gradation.control_chart import (
 )
 from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.sieves import MeasuredRange
-from pipeline.gradation.specification import Range, nearest_mm
+from pipeline.gradation.specification import Range
 from service.base.errors import InvalidRequestError
 from service.lots.figures import SHARES, LotFigures, named_figures
 from service.lots.products import Product, ProductDefinition, find_product
@@ -37,6 +37,7 @@ from service.lots.trends.control_documents import (
     ProductDrift,
 )
 from service.lots.trends.diary import DiaryEntry, entries
+from service.lots.trends.trend import ends_mm
 from service.lots.yardsticks import Request, yardstick_of
 from service.store import audit
 from service.store.events import EventType, NewEvent
@@ -109,8 +110,7 @@ def followed_figures(figures: LotFigures, definition: ProductDefinition) -> dict
 
 
 def _names(definition: ProductDefinition, apertures_mm: Sequence[float]) -> list[str]:
-    ends_mm = [each for each in (definition.lower_mm, definition.upper_mm) if each is not None]
-    sieves_mm = dict.fromkeys(nearest_mm(each, apertures_mm) for each in ends_mm)
+    sieves_mm = dict.fromkeys(ends_mm(definition, apertures_mm).values())
     return ["d50_mm", *(f"passing_{each:g}_mm_percent" for each in sieves_mm), *SHARES]
 
 
@@ -173,6 +173,34 @@ def product_control(
             for chart in charts
         ],
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LotLimits:
+    """Control limits of a product's lots, as the newest that counts has them, in the unit of the figure."""
+
+    lower: float
+    centre: float
+    upper: float
+
+
+def lot_limits(connection: sqlite3.Connection, product: str, figure: str) -> LotLimits | None:
+    """Return the control limits of a figure of a product, None without limits."""
+    charts = _charts(connection, product, settings_of(connection, product))
+    chart = next((each for each in charts if each.name == figure), None)
+    if chart is None or chart.chart is None or chart.baseline is None or not chart.counted:
+        return None
+    centre, reach = chart.baseline.centre, SIGMAS * float(chart.chart.sds[-1])
+    return LotLimits(lower=centre - reach, centre=centre, upper=centre + reach)
+
+
+def product_alarms(connection: sqlite3.Connection, since: str, until: str) -> list[str]:
+    """Return the times at which alarms about a product were raised, oldest first, as far as events are kept."""
+    rows = connection.execute(
+        "SELECT at FROM events WHERE at >= ? AND at <= ? AND type = ? AND subject IN (?, ?, ?) ORDER BY seq",
+        (since, until, EventType.ALARM_RAISED, *PRODUCT_CHECKS),
+    )
+    return [at for (at,) in rows]
 
 
 def product_drift(connection: sqlite3.Connection, product: str) -> ProductDrift | None:

@@ -1,21 +1,25 @@
 """Trend of rate, size and shape of the stones over the last hours."""
 
 import sqlite3
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
+from enum import StrEnum
 from itertools import pairwise
 
 from pydantic import Field
 
 from pipeline.frames import rfc3339
-from pipeline.gradation.curve import Inverse, exact_mm, quantile
+from pipeline.gradation.curve import Inverse, exact_mm, passing_percent, quantile
 from pipeline.gradation.estimates import NOT_MEASURED, Estimate
 from pipeline.gradation.estimators import sample_of, share_percent
 from pipeline.gradation.sieves import MeasuredRange
+from pipeline.gradation.specification import nearest_mm
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
 from service.base.schema import OptionalTime, Time
 from service.base.status import Report
 from service.lots.figures import SHARES
 from service.lots.lots import LotState
+from service.lots.products import ProductDefinition
 from service.lots.stones import stretch
 from service.lots.trends.diary import DiaryEntry, entries
 from service.store.schema import rows_by_name
@@ -27,6 +31,21 @@ MAX_STONES = 2000
 """Stones of a bucket that are looked at; of more, every so many."""
 MAX_MARKS = 500
 """Entries of the diary, and lots, that a trend names, the newest."""
+
+
+class PassingEnd(StrEnum):
+    """End of a product's range of sizes whose sieve is followed."""
+
+    LOWER = "lower"
+    """d"""
+    UPPER = "upper"
+    """D"""
+
+
+def ends_mm(definition: ProductDefinition, apertures_mm: Sequence[float]) -> dict[PassingEnd, float]:
+    """Return the sieves of d and D of a product among these, as far as it has them, mm."""
+    ends = {PassingEnd.LOWER: definition.lower_mm, PassingEnd.UPPER: definition.upper_mm}
+    return {end: nearest_mm(each, apertures_mm) for end, each in ends.items() if each is not None}
 
 
 class TrendBucket(Report):
@@ -45,6 +64,9 @@ class TrendBucket(Report):
     )
     flakiness_percent: Estimate = Field(description="Flakiness index FI, EN 933-3, %")
     shape_percent: Estimate = Field(description="Shape index SI, EN 933-4, %")
+    passing_percent: Mapping[float, Estimate] = Field(
+        description="Passing by mass at the sieves of d and D of the product that was asked for, by aperture in mm"
+    )
 
 
 class TrendLot(Report):
@@ -75,7 +97,13 @@ def bucket_s_of(hours: float) -> int:
     return next((each for each in BUCKETS_S if hours * 3600 / each <= MAX_BUCKETS), BUCKETS_S[-1])
 
 
-def trend(connection: sqlite3.Connection, now: str, hours: float, measured: MeasuredRange) -> Trend:
+def trend(
+    connection: sqlite3.Connection,
+    now: str,
+    hours: float,
+    measured: MeasuredRange,
+    sieves_mm: Collection[float] = (),
+) -> Trend:
     """Return the trend of rate, size and shape over the last hours; buckets begin at multiples of their length, UTC."""
     bucket_s = bucket_s_of(hours)
     end = datetime.fromisoformat(now)
@@ -88,13 +116,19 @@ def trend(connection: sqlite3.Connection, now: str, hours: float, measured: Meas
         since=edges[0],
         until=now,
         bucket_s=bucket_s,
-        buckets=[_bucket(connection, since, until, measured) for since, until in pairwise(edges)],
+        buckets=[_bucket(connection, *ends, measured, sieves_mm) for ends in pairwise(edges)],
         diary=entries(connection, edges[0], now, MAX_MARKS)[::-1],
         lots=_lots(connection, edges[0], now),
     )
 
 
-def _bucket(connection: sqlite3.Connection, since: str, until: str, measured: MeasuredRange) -> TrendBucket:
+def _bucket(
+    connection: sqlite3.Connection,
+    since: str,
+    until: str,
+    measured: MeasuredRange,
+    sieves_mm: Collection[float],
+) -> TrendBucket:
     found = stretch(connection, since, until, MAX_STONES)
     sample = sample_of(found.lot, LENGTH_SD_PERCENT / 100)
     d50 = quantile(sample, 50, Inverse(size_mm=lambda share: exact_mm(sample.lot, share)), measured)
@@ -106,6 +140,9 @@ def _bucket(connection: sqlite3.Connection, since: str, until: str, measured: Me
         measured=found.n_measured,
         stones_per_min=found.n_timed / (lasted / timedelta(minutes=1)),
         d50_mm=NOT_MEASURED if d50 is None else d50.size_mm,
+        passing_percent={
+            each: passing_percent(sample, each) if each in measured else NOT_MEASURED for each in sieves_mm
+        },
         **{name: share_percent(sample, property_of(measured)) for name, property_of in SHARES.items()},
     )
 

@@ -58,15 +58,24 @@ async def get_trend_drawing(
     figure: Annotated[
         TrendFigure,
         Path(
-            description="`rate` of stones, `d50`, `flakiness` index FI (EN 933-3), `shape` index SI (EN 933-4)"
+            description="`rate` of stones, `d50`, `flakiness` index FI (EN 933-3), `shape` index SI (EN 933-4),"
+            " `passing_lower` and `passing_upper`: passing at the sieves of d and D of `product`"
         ),
     ],
     hours: Hours = 12.0,
     language: DrawingLanguage = Language.ENGLISH,
+    product: Annotated[
+        str | None, Query(pattern=ID, description="Product whose control limits are drawn; none when absent")
+    ] = None,
 ) -> Response:
-    """Draw the trend of a figure: its line and 95 % interval over the last hours, the diary's marks, the lots."""
+    """Draw the trend of a figure: its line and 95 % interval over the last hours, the diary's marks, the lots.
+
+    Points of few stones are not joined. Alarms of the product, and with `product` the control limits of its lots, are
+    drawn where there are any.
+    """
     now, measured = rfc3339(next_second()), context.part(LotsSettings).measured
-    text = await shared(context, stored_trend_svg, now, hours, measured, figure, language, keep_s=KEEP_S)
+    given = (stored_trend_svg, now, hours, measured, figure, language, product)
+    text = await shared(context, *given, keep_s=KEEP_S)
     return svg_answer(asked, text or "")
 
 
