@@ -148,7 +148,7 @@ class RigCameras:
             return cause
         reason = next((keeper.last_error for keeper in self.lost.values()), None)
         needed = message(Code.CAMERAS_NEEDED, armed=self.armed, needed=min_cameras)
-        return joined([about(", ".join(self.lost), str(reason) if reason is None else reason), needed])
+        return joined([about(", ".join(self.lost), reason or "not armed"), needed])
 
     def refuse_repeated(self, event: DeviceEvent) -> DeviceEvent:
         """Return the event, or a `FrameLost` in the place of an image that repeats the camera's previous one."""

@@ -40,9 +40,8 @@ class Triggers:
     @property
     def trouble(self) -> CodedText | None:
         """Why they cannot be recorded now, None when they can."""
-        return (
-            None if self._log is None or self._log.trouble is None else about("store", str(self._log.trouble))
-        )
+        trouble = None if self._log is None else self._log.trouble
+        return None if trouble is None else about("store", str(trouble))
 
     async def record(self, triggers: Sequence[Trigger], gate_count: GateCount | None = None) -> list[Trigger]:
         """Make triggers durable in one transaction, and return them with their names."""

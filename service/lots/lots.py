@@ -289,6 +289,30 @@ def lots_of_sample(connection: sqlite3.Connection, sample_id: str) -> list[LotDo
     return _lots(connection, "definition ->> 'sample_id' = ?", (sample_id,), MOST_RUNS)[::-1]
 
 
+class ClosedLot(Report):
+    """The lot that was closed last, in short."""
+
+    lot: str = Field(description="Material lot")
+    product: str = Field(description="Id of its product")
+    closed_at: Time = Field(description="When it was closed, RFC 3339 UTC")
+    completion: LotCompletion | None = Field(
+        description="Verdict and report of its last revision that was completed; null before the first"
+    )
+
+
+def newest_closed(connection: sqlite3.Connection) -> ClosedLot | None:
+    """Return the lot that was closed last and is not void, None if there is none."""
+    row = connection.execute(
+        "SELECT lot, product, closed_at, completion FROM lots WHERE state = 'closed'"
+        " ORDER BY closed_at DESC, opened_at DESC LIMIT 1"
+    ).fetchone()
+    if row is None:
+        return None
+    *facts, completion = row
+    found = None if completion is None else LotCompletion.model_validate_json(completion)
+    return ClosedLot(**dict(zip(("lot", "product", "closed_at"), facts, strict=True)), completion=found)
+
+
 class LotChoice(BaseModel):
     """Lots that are asked for; what is absent holds for any."""
 

@@ -15,13 +15,15 @@ from support.rest import FakeControl, app_of, client_of, particle_files
 from support.sent_events import Stream, opened
 from support.served import Served, served_by
 
+from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
 from service.base.errors import StoreError
 from service.base.status import AcquisitionState, CheckStatus, HealthCheck
 from service.daemon.overview import overviews
 from service.daemon.overview.overview_rows import Rows, overview_rows
 from service.health.alarms.alarms import Alarms
-from service.lots.lots import LotDefinition, close_lot, open_lot
+from service.lots.lots import LotDefinition, close_lot, complete_lot, open_lot
+from service.lots.outcome import LotCompletion
 from service.lots.products import ProductDefinition, save_product
 from service.store import Store
 from service.store.keys import create_key, revoke_key
@@ -184,6 +186,12 @@ async def test_figures_are_those_of_the_open_lot_else_of_the_last_hour(
     assert figures["shape_percent"] == gradation["indices"]["shape_percent"]
     (median,) = (each for each in gradation["quantiles"] if each["percent"] == 50)
     assert figures["d50_mm"] == median["exact_mm"]
+    passing = {step["sieve_mm"]: step["passing_percent"] for step in gradation["curve"]}
+    assert figures["passing"] == [
+        {"end": end, "sieve_mm": sieve_mm, "percent": passing[sieve_mm]}
+        for end, sieve_mm in (("lower", 8.0), ("upper", 16.0))
+    ]
+    assert found["last_lot"] is None
     await add(store, session, 4, rejected("empty"))  # which changes no curve
     await overview_of(client)
     assert (await overview_of(client))["figures"]["version"] == figures["version"]
@@ -193,6 +201,18 @@ async def test_figures_are_those_of_the_open_lot_else_of_the_last_hour(
     await store.write(close_lot, "L1", None, "test")
     found = await overview_of(client)
     assert (found["lot"], found["figures"]) == (None, None)  # these stones did not fall within the last hour
+    assert (found["last_lot"]["lot"], found["last_lot"]["completion"]) == ("L1", None)
+    said = {
+        "verdict": "conforms",
+        "is_partial": False,
+        "measured": 4,
+        "rejected": 1,
+        "lost": 0,
+        "revision": 1,
+    }
+    completion = LotCompletion(**said, at=utc_now(), report="/r", report_sha256="0" * 64)
+    await store.write(complete_lot, "L1", completion, {})
+    assert (await overview_of(client))["last_lot"]["completion"]["verdict"] == "conforms"
     await add_at(store, session, 6, datetime.now(UTC))
     assert (await figures_when(client, lambda found: found is not None))["lot"] is None
 

@@ -36,6 +36,13 @@ LIMITS = {
     "specification": "GC85-20",
 }
 
+OWN_TEXTS = """() => {
+  const texts = document.createTreeWalker(document.querySelector("main"), NodeFilter.SHOW_TEXT);
+  const own = [];
+  while (texts.nextNode()) if (!texts.currentNode.parentElement.closest("[lang=en]")) own.push(texts.currentNode.data);
+  return own;
+}"""
+"""All texts of a page, but those of others, which are marked as English."""
 QUICK_LOOKS = [("wall", "en", "light"), ("desktop", "de", "dark"), ("tablet", "de", "light")]
 """Each size, language and theme."""
 LOOKS = [
@@ -95,6 +102,32 @@ def test_a_stone_has_its_picture_and_words(operator: Watched) -> None:
     assert re.fullmatch(r"\w+, \d+\.\d mm", picture.get_attribute("alt") or "")
 
 
+def test_the_verdict_is_one_sentence_and_that_of_the_last_lot_stays(
+    operator: Watched, replay: DaemonProcess
+) -> None:
+    page = operator.page  # before any test that asks for the module's lot, which is open from then on
+    replay.put("/products/gravel", {**LIMITS, "title": "Gravel"})
+    replay.post("/lots", {"lot": "L-1206", "product": "gravel"})
+    expect(page.locator("#verdict-word")).to_have_text(re.compile(r"L-1206[: ]"))
+    page.locator("#newest li").nth(5).wait_for()
+    closed = replay.post("/lots/L-1206/close?wait_s=20", {})
+    assert closed["completion"] is not None
+    sentence = page.locator("#verdict-word")
+    expect(sentence).to_have_text(re.compile(r"L-1206.*(measured|stones|many)"))
+    expect(page.locator("#last-lot")).to_contain_text("Closed ")
+    report = page.locator("#last-lot a")
+    expect(report).to_have_attribute("href", closed["completion"]["report"])
+    past = page.locator("#history a").first
+    verdict = closed["completion"]["verdict"]
+    expect(past).to_have_attribute("aria-label", re.compile("^L-1206: "))
+    expect(page.locator("#history li").first).to_have_attribute("data-verdict", verdict)
+    expect(past).to_have_attribute("href", closed["completion"]["report"])
+    replay.post("/lots", {"lot": "L-1206b", "product": "gravel"})
+    expect(sentence).to_have_text(re.compile("L-1206b"))
+    expect(page.locator("#last-lot")).to_contain_text("Before: L-1206")
+    replay.post("/lots/L-1206b/close?wait_s=20", {})
+
+
 def test_lot_curve_and_verdict_change(operator: Watched, lot: str) -> None:
     page = operator.page
     expect(page.locator("#lot-name")).to_have_text(lot)
@@ -107,12 +140,13 @@ def test_lot_curve_and_verdict_change(operator: Watched, lot: str) -> None:
     expect(page.locator("#tile-rate b")).to_have_text(re.compile(r"\d+"))
 
 
-def test_every_figure_has_its_trend(operator: Watched) -> None:
+def test_every_figure_has_its_trend(operator: Watched, lot: str) -> None:
     titles = set()
-    for name in ("d50", "flakiness", "shape", "rate"):
+    expect(operator.page.locator("#tile-passing_lower .name")).to_have_text("Passing 8 mm")
+    for name in ("d50", "passing_lower", "passing_upper", "flakiness", "shape", "rate"):
         operator.page.locator(f"#tile-{name}").click()
         expect(operator.page.locator("#trend")).to_have_attribute(
-            "data-asked", re.compile(f"/{name}[.]svg.hours=1&")
+            "data-asked", re.compile(f"/{name}[.]svg.hours=1&.*product=basalt")
         )
         until(
             operator.page,
@@ -120,7 +154,7 @@ def test_every_figure_has_its_trend(operator: Watched) -> None:
             ["", *titles],
         )
         titles.add(operator.page.locator("#trend svg title").first.text_content())
-    assert len(titles) == 4
+    assert len(titles) == 6
     operator.page.get_by_role("button", name="12 h").click()
     expect(operator.page.locator("#trend")).to_have_attribute("data-asked", re.compile("hours=12&"))
 
@@ -238,6 +272,33 @@ def test_it_speaks_german_and_remembers_it(operator: Watched) -> None:
     expect(page.locator("#alarms")).to_contain_text("Was zu tun ist:")
     page.reload()
     expect(page.get_by_role("heading", name="Kameras", exact=True)).to_be_visible()
+
+
+def test_a_german_page_has_no_english(operator: Watched, lot: str) -> None:
+    page = operator.page
+    page.get_by_role("button", name="Deutsch").click()
+    expect(page.locator("#alarms .alarm h3", has_text=f"Kamera {DIM} (Azimut")).to_have_count(1)
+    expect(page.locator("#reasons")).to_contain_text("weniger Licht")
+    page.locator(f"#camera-{DIM} button").click()
+    page.keyboard.press("Escape")
+    own = page.evaluate(OWN_TEXTS)
+    english = re.compile(r"\b(the|of|and|light|look at|stones|is|lost|measured|conforms|camera|loop)\b")
+    assert [text for text in own if english.search(text)] == []
+    assert page.title().endswith(" – stonefall") and " · " not in page.title()
+
+
+def test_a_wrong_address_is_a_page(operator: Watched, replay: DaemonProcess) -> None:
+    operator.is_expected = re.compile("404")
+    operator.page.goto(f"{origin_of(replay.url(''))}/nowhere?language=de")
+    expect(operator.page.get_by_role("heading")).to_have_text("Hier ist keine Seite")
+    assert operator.page.title() == "Hier ist keine Seite – stonefall"
+    operator.page.get_by_role("link", name="Zur Seite des Bedieners").click()
+    expect(operator.page.locator("#ne107")).not_to_be_empty()
+
+
+def test_the_icon_of_the_tab_shows_the_state(operator: Watched, replay: DaemonProcess) -> None:
+    icon = operator.page.locator("link[rel=icon]")
+    expect(icon).to_have_attribute("href", re.compile(r"/icons/(?!stonefall)\w+[.]svg$"))
 
 
 def test_the_theme_is_chosen_and_remembered(operator: Watched) -> None:

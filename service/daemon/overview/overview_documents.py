@@ -8,10 +8,13 @@ from pydantic import BaseModel, Field
 from pipeline.frames import CameraId
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.specification import Decision, Verdict
+from service.base.messages import CodedFinding
 from service.base.schema import OptionalTime, Time
 from service.base.status import DeviceState, Ne107
 from service.health.alarms.alarm import AlarmState
 from service.health.alarms.rules import Priority
+from service.lots.lots import ClosedLot
+from service.lots.trends.trend import PassingEnd
 from service.results.fields import Outcome, Verified
 
 
@@ -44,12 +47,23 @@ class OverviewDecision(BaseModel):
     decision: Decision = Field(description="The verdict, and what would decide it")
 
 
+class OverviewPassing(BaseModel):
+    """Passing at the sieve of d or D of the product."""
+
+    end: PassingEnd = Field(description="`lower`: d; `upper`: D")
+    sieve_mm: float = Field(description="The sieve nearest to it, mm")
+    percent: Estimate = Field(description="Passing by mass, %")
+
+
 class OverviewFigures(BaseModel):
     """The main figures of the open lot, else of the last hour."""
 
     lot: str | None = Field(description="Lot that they are of; null: of the last hour")
     verdict: Verdict | None = Field(description="Null without a specification")
     is_partial: bool = Field(description="True when some figures of the specification were not measured")
+    passing: list[OverviewPassing] = Field(
+        description="Passing at the sieves of d and D of the lot's product; empty without these"
+    )
     countdown: str | None = Field(description="What is decided and what is not, in words")
     decisions: list[OverviewDecision] = Field(
         description="The same figure by figure: sieves from the coarsest, then the indices"
@@ -105,6 +119,7 @@ class OverviewAlarm(BaseModel):
     priority: Priority = Field(description="The highest since it was raised")
     state: AlarmState = Field(description="In the words of ISA-18.2")
     detail: str | None = Field(description="What the check says")
+    findings: list[CodedFinding] = Field(description="The same, as codes with their parameters")
 
 
 class OverviewAlarms(BaseModel):
@@ -122,6 +137,10 @@ class OverviewCamera(BaseModel):
 
     id: CameraId = Field(description="Place of the camera in the rig, such as `c01`")
     state: DeviceState = Field(description="Whether it exposes, is closed, or does not answer")
+    azimuth_deg: float = Field(
+        description="Direction from the rig's centre to it, about the vertical, 0..360"
+    )
+    elevation_deg: float = Field(description="The same, above the horizontal")
     ne107: Ne107 = Field(description="Its state in the terms of NAMUR NE 107")
     brightness: float | None = Field(description="Light on the wall beside the stone, 1: as in the clean rig")
     dust: float | None = Field(description="Share of the light lost in patches, 0..1")
@@ -132,6 +151,7 @@ class OverviewCamera(BaseModel):
     )
     last_frame_age_s: float | None = Field(description="Seconds since the last frame; null before it")
     warnings: list[str] = Field(description="What works but needs attention, with the remedy")
+    findings: list[CodedFinding] = Field(description="The same, as codes with their parameters")
 
 
 class OverviewStone(BaseModel):
@@ -161,7 +181,13 @@ class OverviewDocument(BaseModel):
     rig_ne107: Ne107 = Field(description="Geometry and optics of the rig: is all as it was calibrated")
     ready: bool = Field(description="Whether the next stone will be measured")
     reasons: list[str] = Field(description="Why it is not ready, or not `good`; empty when it is both")
+    findings: list[CodedFinding] = Field(
+        description="Why it is held, and what the reasons say, as codes with their parameters"
+    )
     lot: OverviewLot | None = Field(description="The open lot; null when none is open")
+    last_lot: ClosedLot | None = Field(
+        description="The lot of those closed, and not void, that was closed last; null: none yet"
+    )
     figures: OverviewFigures | None = Field(
         description="Renewed every 5 s at most; null before the first time, and while nothing was measured"
     )

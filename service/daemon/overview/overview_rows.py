@@ -20,12 +20,14 @@ from service.daemon.overview.overview_documents import (
     OverviewDecision,
     OverviewFigures,
     OverviewLot,
+    OverviewPassing,
     OverviewStone,
 )
 from service.lots.evaluation import lot_figures, window_figures
 from service.lots.figures import LotFigures
-from service.lots.lots import LotChoice, LotState, lots
+from service.lots.lots import ClosedLot, LotChoice, LotState, find_lot, lots, newest_closed
 from service.lots.products import find_product
+from service.lots.trends.trend import ends_mm
 from service.lots.yardsticks import MEDIAN_PERCENT, Request
 from service.results.fields import Outcome
 from service.store import ParticleFilter
@@ -56,6 +58,7 @@ class Rows:
     stones_per_min: int = 0
     newest: tuple[OverviewStone, ...] = ()
     lot: OverviewLot | None = None
+    last_lot: ClosedLot | None = None
     is_simulated: bool = False
     is_replay: bool = False
 
@@ -98,6 +101,7 @@ def overview_rows(
         stones_per_min=n_minute,
         newest=_newest(connection) if is_another_stone else known.newest,
         lot=_open_lot(connection),
+        last_lot=newest_closed(connection),
         is_simulated=bool(run.get("is_simulated")),
         is_replay=bool(run.get("is_replay")),
     )
@@ -119,6 +123,7 @@ def overview_figures(
         verdict=found.verdict,
         is_partial=found.is_partial,
         countdown=found.countdown,
+        passing=[] if lot is None else _passing(connection, lot, found),
         decisions=_decisions(found),
         d50_mm=median.exact_mm,
         flakiness_percent=found.indices.flakiness_percent,
@@ -127,6 +132,16 @@ def overview_figures(
         n_effective=found.n_effective,
         version=_version(found, lot),
     )
+
+
+def _passing(connection: sqlite3.Connection, lot: str, figures: LotFigures) -> list[OverviewPassing]:
+    known = find_lot(connection, lot)
+    product = None if known is None else find_product(connection, known.product, known.product_version)
+    if product is None:
+        return []
+    percents = {step.sieve_mm: step.passing_percent for step in figures.curve}
+    ends = ends_mm(product.definition, list(percents))
+    return [OverviewPassing(end=end, sieve_mm=each, percent=percents[each]) for end, each in ends.items()]
 
 
 def _decisions(figures: LotFigures) -> list[OverviewDecision]:

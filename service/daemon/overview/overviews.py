@@ -7,7 +7,7 @@ import asyncio
 import hashlib
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
@@ -15,7 +15,10 @@ from datetime import UTC, datetime
 import numpy as np
 
 from drivers.files.times import utc_now
+from pipeline.frames import CameraId
+from pipeline.rig.cameras import RigCalibration
 from service.base.errors import ServiceError, StoreError
+from service.base.messages import findings_of
 from service.base.status import CameraOptics
 from service.calibration.calibrations import Calibrations
 from service.daemon.overview.overview_documents import (
@@ -176,6 +179,7 @@ def _document(
 ) -> OverviewDocument:
     facts, calibrations = control.part(Facts), control.part(Calibrations)
     health, use = facts.health, facts.retention.use
+    directions = _directions(calibrations.rig)
     return OverviewDocument(
         at=utc_now(),
         instance_id=store.instance_id,
@@ -183,7 +187,9 @@ def _document(
         is_replay=rows.is_replay,
         acquisition=OverviewAcquisition(**dict(facts.acquisition)),
         **{name: getattr(health, name) for name in ("ne107", "gate_ne107", "rig_ne107", "ready", "reasons")},
+        findings=[*findings_of(facts.acquisition.trouble), *health.findings],
         lot=rows.lot,
+        last_lot=rows.last_lot,
         figures=figures,
         stones_per_min=rows.stones_per_min,
         accounting=rows.accounting,
@@ -195,12 +201,28 @@ def _document(
         calibration_id=calibrations.rig_file.calibration_id,
         alarms=_alarms(control.part(Alarms).within(*ANNOUNCED)),
         cameras=[
-            OverviewCamera(**{**dict(each.optics or NO_OPTICS), **dict(each)}) for each in facts.cameras
+            OverviewCamera(
+                **{**dict(each.optics or NO_OPTICS), **dict(each), **directions[each.id]},
+                findings=[found for warning in each.warnings for found in findings_of(warning)],
+            )
+            for each in facts.cameras
         ],
         newest=list(rows.newest),
         last_seq=max(rows_seq, 0),  # as far as the rows reach
         last_event=store.last_event,
     )
+
+
+def _directions(rig: RigCalibration) -> Mapping[CameraId, Mapping[str, float]]:
+    """Return azimuth and elevation of each camera about the rig's centre, in whole degrees."""
+    places = {camera.id: camera.center_mm for camera in rig.cameras}
+    return {
+        name: {
+            "azimuth_deg": round(float(np.rad2deg(np.arctan2(y, x)))) % 360,
+            "elevation_deg": round(float(np.rad2deg(np.arctan2(z, np.hypot(x, y))))),
+        }
+        for name, (x, y, z) in places.items()
+    }
 
 
 def _latency(delays_s: Sequence[float]) -> OverviewLatency | None:

@@ -3,7 +3,7 @@
 import { get, getText } from "./api.js";
 import { latestOnly } from "./asking.js";
 import { byId, figureCell, html, rowHead, setText, show, svgFromServer, table } from "./dom.js";
-import { showProblem, startPage } from "./header.js";
+import { showProblem, startPage, titled } from "./header.js";
 import { language, number, sieve, word, wordOr } from "./words.js";
 
 const SIDES = ["a", "b"];
@@ -11,7 +11,7 @@ const REFERENCES = ["specification", "history"];
 const MOST_OVERLAID = 12;
 
 await startPage();
-document.title = `${word("compare.title")} – stonefall`;
+titled(word("compare.title"));
 
 const latest = latestOnly(), latestOverlay = latestOnly();
 const form = byId("choice");

@@ -1,7 +1,7 @@
 /** Buttons, forms and dialogs, which say what went wrong with what they do. */
 
 import { html, setText, show } from "./dom.js";
-import { word } from "./words.js";
+import { language, word, wordOr } from "./words.js";
 
 /** Return a button that does `action`, and the place beside it for what goes wrong. */
 export function actionButton(key, action, attributes = {}) {
@@ -77,7 +77,8 @@ async function attempt(action, button, problem, say = explained) {
 export function explained(error) {
   if (error.status === 401) return word("forms.needs-key");
   if (error.status === 403) return word("forms.needs-other-key", { detail: error.detail });
-  return error.message;
+  const kind = String(error.type ?? "").split(":").at(-1);
+  return language() === "en" || !kind ? error.message : `${wordOr(`problem.${kind}`, error.title)} (${error.message})`;
 }
 
 /** Return a labelled field of a form; `input` has the attributes of the `<input>`. */

@@ -3,7 +3,7 @@
 import { BASE, get, getText } from "./api.js";
 import { latestOnly } from "./asking.js";
 import { byId, html, setText, show, svgFromServer } from "./dom.js";
-import { showProblem, startPage } from "./header.js";
+import { showProblem, startPage, titled } from "./header.js";
 import { showDistributions, showFigures, showSteps } from "./lot_figures.js";
 import { COVERAGE } from "./measures.js";
 import { markOut, tile } from "./tiles.js";
@@ -20,7 +20,7 @@ const isOfLot = () => asked.has("lot") && (asked.has("sieve") || asked.has("orde
 const lotPath = () => `/lots/${encodeURIComponent(asked.get("lot"))}`;
 
 await startPage();
-document.title = `${word("gallery.title")} – stonefall`;
+titled(word("gallery.title"));
 
 let asked = new URLSearchParams(location.search);
 let listed = null, cursor = null; // what is listed, and where the next page of it begins

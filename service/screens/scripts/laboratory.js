@@ -3,14 +3,14 @@
 import { get, post } from "./api.js";
 import { byId, html, show } from "./dom.js";
 import { actionButton } from "./forms.js";
-import { showProblem, startPage } from "./header.js";
+import { showProblem, startPage, titled } from "./header.js";
 import { showEntry } from "./laboratory/entry.js";
 import { sievingsTable } from "./laboratory/sievings.js";
 import { studiesTable } from "./laboratory/studies.js";
 import { word } from "./words.js";
 
 await startPage();
-document.title = `${word("laboratory.title")} – stonefall`;
+titled(word("laboratory.title"));
 const { items: lots } = await get("/lots?limit=200").catch((error) => {
   showProblem(error);
   return { items: [] };

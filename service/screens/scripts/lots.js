@@ -3,7 +3,7 @@
 import { get } from "./api.js";
 import { askWhenNew } from "./asking.js";
 import { byId, html, setText, show } from "./dom.js";
-import { showOrigin, showProblem, startPage } from "./header.js";
+import { showOrigin, showProblem, startPage, titled } from "./header.js";
 import { follow } from "./live.js";
 import { showLots } from "./lots/list.js";
 import { showOpenLot } from "./lots/open_lot.js";
@@ -15,7 +15,7 @@ const PAGE = 50;
 const form = byId("filters");
 
 await startPage();
-document.title = `${word("lots.title")} – stonefall`;
+titled(word("lots.title"));
 let shown = [], products = [], nAsked = 0;
 const option = (value, text) => html.option({ value }, text);
 show(byId("state"), option("", word("lots.any")), STATES.map((state) => option(state, word(`lots.state-${state}`))));

@@ -6,12 +6,13 @@ import { showAlarms } from "./operator/alarms.js";
 import { showCameras } from "./operator/cameras.js";
 import { showCurve } from "./operator/curve.js";
 import { showFacts } from "./operator/facts.js";
-import { showLot, showState, showVerdict } from "./operator/state.js";
+import { showLot, showState } from "./operator/state.js";
 import { showStones } from "./operator/stones.js";
 import { mountTrends, showTiles } from "./operator/trends.js";
+import { showHistory, showVerdict } from "./operator/verdict.js";
 import { time, word } from "./words.js";
 
-const PARTS = [showOrigin, showState, showLot, showVerdict, showCurve, showTiles, showAlarms, showStones, showCameras, showFacts];
+const PARTS = [showOrigin, showState, showLot, showVerdict, showHistory, showCurve, showTiles, showAlarms, showStones, showCameras, showFacts];
 
 await startPage();
 mountTrends();

@@ -3,12 +3,12 @@
 import { BASE, get, put } from "./api.js";
 import { byId, described, html, setText, show, table } from "./dom.js";
 import { actionButton, onSubmit } from "./forms.js";
-import { showProblem, startPage } from "./header.js";
+import { showProblem, startPage, titled } from "./header.js";
 import { measuresTable } from "./measures.js";
 import { qualityMark } from "./symbols.js";
 import { showBody } from "./viewer.js";
 import { showViews } from "./views.js";
-import { locale, quantity, word } from "./words.js";
+import { language, locale, quantity, word } from "./words.js";
 
 /** Return the number of a stone's first result, by which its neighbours are found. */
 const numberOf = ({ id }) => Number(id.split("-")[1]);
@@ -20,7 +20,7 @@ const key = decodeURIComponent(location.pathname.split("/").at(-1));
 get(`/particles/${encodeURIComponent(key)}`).then((stone) => showStone({ ...stone, key })).catch(showProblem);
 
 async function showStone(stone) {
-  document.title = `${stone.id} – stonefall`;
+  titled(stone.id);
   setText(byId("title"), word("passport.stone", { id: stone.id }));
   const address = `${location.origin}/stones/${stone.id}`;
   show(byId("address"), word("passport.address"), " ", html.a({ href: address }, address));
@@ -31,6 +31,13 @@ async function showStone(stone) {
   if (stone.mesh !== null && stone.files_removed === null) showMesh(stone);
   else show(byId("body"), html.p({ class: "note" }, stone.files_removed ? word(`passport.removed-${stone.files_removed}`) : word("passport.no-body")));
   await Promise.all([showNeighbours(stone), showRevisions(stone), showAllViews(stone)]);
+}
+
+/** Return why a stone was not measured, with the details in the words of the service, which are English. */
+function reasonOf({ reason, detail }) {
+  if (reason === null) return null;
+  const text = word(`operator.reason-${reason}`);
+  return language() === "en" && detail !== null ? `${text}: ${detail}` : text;
 }
 
 function showNumbers(stone) {
@@ -88,7 +95,7 @@ function showFacts(stone) {
   const facts = [
     ["revision", stone.revision > 1 && String(stone.revision)],
     ["outcome", word(`stone.outcome-${stone.outcome}`)],
-    ["reason", stone.detail ?? stone.reason],
+    ["reason", reasonOf(stone)],
     ["quality", stone.quality && qualityMark(stone.quality)],
     ["causes", stone.quality_causes.map((cause) => word(`stone.cause-${cause}`)).join(", ")],
     ["body", stone.body && word(`stone.body-${stone.body}`)],

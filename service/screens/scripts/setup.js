@@ -1,7 +1,7 @@
 /** The page that sets the rig up: four wizards and the webhooks, of which the address names one. */
 
 import { byId, html, show } from "./dom.js";
-import { startPage } from "./header.js";
+import { startPage, titled } from "./header.js";
 import { mountCalibration } from "./setup/calibration.js";
 import { mountPlaces } from "./setup/places.js";
 import { mountRecording } from "./setup/recording.js";
@@ -19,7 +19,7 @@ enter();
 function enter() {
   const asked = location.hash.slice(1);
   const chosen = asked in WIZARDS ? asked : "calibration";
-  document.title = `${word(`setup.wizard-${chosen}`)} - stonefall`;
+  titled(word(`setup.wizard-${chosen}`));
   const link = (name) =>
     html.a({ href: `#${name}`, "aria-current": name === chosen && "page" }, word(`setup.wizard-${name}`), html.small(word(`setup.wizard-for-${name}`)));
   show(byId("wizards"), Object.keys(WIZARDS).map(link));

@@ -7,6 +7,7 @@ import { startPage } from "./header.js";
 import { word } from "./words.js";
 
 await startPage();
+titled(word("sign-in.title"));
 const refused = ({ status, message }) => (status === 401 ? word("sign-in.wrong") : message);
 const signIn = async ({ token }) => { // it goes into no address
   await post("/session", { token: token.trim() });

@@ -13,7 +13,7 @@ export function tile(stone, toggle) {
     const picture = html.img({ src: `${BASE}/particles/${stone.id}/preview.png`, alt: "", loading: "lazy", fetchpriority: "low", width: 480, height: 480 });
     picture.addEventListener("error", () => still.replaceChildren(word("gallery.no-picture")));
     still.append(picture);
-  } else still.append(stone.reason ?? "");
+  } else still.append(stone.reason ? word(`operator.reason-${stone.reason}`) : "");
   return html.li({ class: "tile", "data-id": stone.id },
     html.a({ href: `/stones/${stone.id}` }, still, html.span({ class: "text" }, ...lines(stone))),
     toggle && html.button({ type: "button", onclick: toggle }, word("gallery.take-out")),

@@ -9,6 +9,7 @@ import { time, word } from "./words.js";
 const MOST_BYTES = 700_000; // in base64 a request has a third more
 
 await startPage();
+titled(word("verify.title"));
 get("/instrument/key").then(({ fingerprint }) => setText(byId("key"), word("verify.own-key", { key: fingerprint }))).catch(() => {});
 onSubmit(byId("form"), check, byId("problem"));
 

@@ -1,6 +1,7 @@
 /** Words, numbers and times in the language of the page. */
 
 export const LANGUAGES = { en: "English", de: "Deutsch" };
+const TIME = /^\d{4}-\d\d-\d\dT[\d:.]+Z$/;
 let words = {};
 
 /** Return the language: of the address, else the one chosen before, else the browser's. */
@@ -27,9 +28,27 @@ export function speak(chosen) {
   else location.replace(address);
 }
 
-/** Return the words of a key, with `{name}` replaced by `values.name`. */
+/** Return the words of a key, with `{name}` replaced by `values.name`, `{name:.1f}` and `{name:+.1f}` with so many digits. */
 export function word(key, values = {}) {
-  return (words[key] ?? key).replace(/\{(\w+)\}/g, (_, name) => String(values[name]));
+  return (words[key] ?? key).replace(/\{(\w+)(?::(\+?)(?:\.(\d)f|g))?\}/g, (_, name, sign, digits) => {
+    const value = values[name];
+    if (sign === undefined) return TIME.test(value) ? time(value) : String(value);
+    return (sign && value >= 0 ? "+" : "") + (digits === undefined ? value.toLocaleString(language()) : number(value, digits));
+  });
+}
+
+/** Return what the service says of itself: a finding, whose code has words in each language, after what it is about. */
+export const said = ({ code, subjects, parameters }) => [...subjects.map(subject), word(`message.${code}`, parameters)].join(": ");
+
+/** Return who asked, as the audit names those: a key by its name, or this machine. */
+export function asker(who) {
+  const name = who.replaceAll(" ", "-");
+  return who.startsWith("key ") ? word("who.key", { name: who.slice(4) }) : wordOr(`who.${name}`, who);
+}
+
+function subject(name) {
+  const [kind, ...rest] = name.split(":");
+  return [wordOr(`subject.${kind}`, kind), ...rest].join(" ");
 }
 
 /** Return the words of a key, `other` where there are none. */

@@ -3,7 +3,7 @@
 import { post } from "../api.js";
 import { html, show, table } from "../dom.js";
 import { actionButton, field, makeForm } from "../forms.js";
-import { number, quantity, sieve, word } from "../words.js";
+import { number, quantity, said, sieve, word } from "../words.js";
 
 /** Heads for a table that has none, or whose head does not say what its numbers are. */
 const HEADS = { table: null, "retained-g": "Retained g", "retained-percent": "Retained %", "passing-percent": "Passing %" };
@@ -47,7 +47,7 @@ export function showEntry(place, reading, lots, chosen, onLot) {
       text.value = "";
       onLot(values.lot);
     }, { class: "main" });
-    show(reading, readBack(found), found.implausible && html.p({ class: "problem" }, found.implausible), reason, html.div({ class: "actions" }, store));
+    show(reading, readBack(found), found.implausible && html.p({ class: "problem" }, found.implausible_findings.map(said).join("; ")), reason, html.div({ class: "actions" }, store));
   }
 }
 
@@ -58,7 +58,7 @@ function sievingOf({ table, head, dry_mass_g: dryMass, ...values }) {
   return { table: HEADS[head] === null ? table : `Sieve mm${mark}${HEADS[head]}\n${table}`, ...(dryMass !== "" && { dry_mass_g: Number(dryMass) }), ...said };
 }
 
-function readBack({ understood, mass_g: mass, dry_mass_g: dryMass, sieves }) {
+function readBack({ understood_findings: understood, mass_g: mass, dry_mass_g: dryMass, sieves }) {
   const lost = mass !== null && dryMass !== null && html.p(word("laboratory.lost", { percent: number(100 * (1 - mass / dryMass), 2), most: MOST_LOST_PERCENT }));
   const rows = [...sieves].reverse().map(({ sieve_mm: mm, retained_g: retained, passing_percent: passing, instrument_percent: { value, low, high }, difference }) => [
     sieve(mm), quantity(retained, 1, ""), number(passing, 1),
@@ -66,7 +66,7 @@ function readBack({ understood, mass_g: mass, dry_mass_g: dryMass, sieves }) {
     number(difference, 1),
   ]);
   return [
-    html.p({ class: "understood" }, understood),
+    html.p({ class: "understood" }, understood.map(said).join("; ")),
     mass !== null && html.p(word("laboratory.sum", { mass: quantity(mass, 1, "g") })),
     lost,
     html.div({ class: "wide", tabindex: 0, role: "group", "aria-label": word("laboratory.reading") },

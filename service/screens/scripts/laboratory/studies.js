@@ -3,7 +3,7 @@
 import { post } from "../api.js";
 import { html, table } from "../dom.js";
 import { actionButton, field, formDialog } from "../forms.js";
-import { number, time, word } from "../words.js";
+import { number, said, time, word } from "../words.js";
 
 /** Return the table of a product's studies, which are at `path`; `onChange` is called after one was accepted or withdrawn. */
 export function studiesTable(path, studies, onChange) {
@@ -17,10 +17,10 @@ export function studiesTable(path, studies, onChange) {
   return html.div({ class: "wide", tabindex: 0, role: "group", "aria-label": word("laboratory.studies") }, table({}, heads, rows, [0, 2, 3, 4, 5]));
 }
 
-function actions(path, { version, state, obstacles }, onChange) {
+function actions(path, { version, state, obstacle_findings: obstacles }, onChange) {
   if (state === "withdrawn") return null;
   if (state === "accepted") return html.button({ type: "button", onclick: () => withdraw(`${path}/${version}/withdraw`, onChange) }, word("laboratory.withdraw"));
-  if (obstacles.length > 0) return html.ul({ class: "obstacles" }, obstacles.map((each) => html.li(each)));
+  if (obstacles.length > 0) return html.ul({ class: "obstacles" }, obstacles.map((each) => html.li(said(each))));
   return actionButton("laboratory.accept", async () => {
     await post(`${path}/${version}/accept`);
     await onChange();

@@ -5,15 +5,19 @@ import { askWhenNew } from "../asking.js";
 import { byId, html, setText, showNew } from "../dom.js";
 import { actionButton, formDialog } from "../forms.js";
 import { prioritySymbol } from "../symbols.js";
-import { language, time, word } from "../words.js";
+import { asker, language, said, time, word } from "../words.js";
 
 const SHELF_MINUTES = [15, 60, 240, 480, 1440];
 const SHELF_AT_FIRST = 60;
+let places = new Map();
 
 const see = askWhenNew(async () => render(await get(`/alarms?language=${language()}`)));
 
 /** Show the alarms; their words are asked for when one of them changed. */
-export const showAlarms = ({ alarms }) => see(alarms);
+export function showAlarms({ alarms, cameras }) {
+  places = new Map(cameras.map(({ id, azimuth_deg: azimuth, elevation_deg: elevation }) => [id, { camera: id, azimuth, elevation }]));
+  see(alarms);
+}
 
 const act = (alarm, action, values) => post(`/alarms/${alarm.id}/${action}`, values).then(see.again);
 
@@ -33,9 +37,11 @@ function render({ items, shelved, suppressed }) {
 const card = (alarm) =>
   html.article({ class: `alarm ${alarm.state}`, "data-id": alarm.id, "data-priority": alarm.priority, "data-check": alarm.check },
     html.p({ class: "priority" }, prioritySymbol(alarm.priority), word(`operator.priority-${alarm.priority}`), " · ", word(`operator.alarm-${alarm.state}`)),
-    html.h3(alarm.cause),
+    html.h3(headline(alarm)),
     html.p(html.strong(word("operator.what-to-do")), " ", alarm.action),
-    html.p({ class: "detail" }, `${alarm.check}: ${alarm.detail ?? ""}`),
+    alarm.findings.map((each) => html.p({ class: "detail" }, said(each))),
+    language() !== "en" && alarm.findings.some(({ parameters }) => "reported" in parameters) && html.details(
+      html.summary(word("operator.reported")), html.p({ class: "detail", lang: "en" }, `${alarm.check}: ${alarm.detail}`)),
     html.p({ class: "weak" }, since(alarm)),
     html.div({ class: "actions" },
       alarm.state !== "acknowledged" && actionButton("operator.acknowledge", () => act(alarm, "acknowledge"), { class: "main" }),
@@ -43,17 +49,24 @@ const card = (alarm) =>
     ),
   );
 
+/** Return what the alarm means, after the camera that it is about if it is one alone, and its place. */
+function headline({ check, cause, findings }) {
+  const named = new Set([check.split(":")[1], ...findings.flatMap(({ subjects }) => subjects)].filter((each) => places.has(each)));
+  const [camera] = named;
+  return named.size === 1 ? `${word("operator.camera-at", places.get(camera))}: ${cause}` : cause;
+}
+
 function since({ raised_at: raisedAt, occurrences, acknowledged_by: by }) {
   const facts = [word("operator.raised", { at: time(raisedAt) })];
   if (occurrences > 1) facts.push(word("operator.occurrences", { n: occurrences }));
-  if (by !== null) facts.push(word("operator.acknowledged-by", { by }));
+  if (by !== null) facts.push(word("operator.acknowledged-by", { by: asker(by) }));
   return facts.join(" · ");
 }
 
 const shelvedCard = (alarm) =>
   html.article({ class: "alarm shelved", "data-id": alarm.id },
-    html.h3(alarm.cause),
-    html.p({ class: "weak" }, word("operator.shelved-until", { at: time(alarm.shelved_until), by: alarm.shelved_by, reason: alarm.shelf_reason })),
+    html.h3(headline(alarm)),
+    html.p({ class: "weak" }, word("operator.shelved-until", { at: time(alarm.shelved_until), by: asker(alarm.shelved_by), reason: alarm.shelf_reason })),
     html.div({ class: "actions" }, actionButton("operator.unshelve", () => act(alarm, "unshelve"), { class: "main" })),
   );
 
@@ -63,7 +76,7 @@ function shelve(alarm) {
     "operator.shelve-title",
     "operator.shelve-do",
     ({ minutes, reason }) => act(alarm, "shelve", { minutes: Number(minutes), reason }),
-    html.p(alarm.cause),
+    html.p(headline(alarm)),
     html.label(word("operator.shelve-for"), html.select({ name: "minutes" }, SHELF_MINUTES.map(option))),
     html.label(word("operator.shelve-reason"), html.textarea({ name: "reason", required: true, maxlength: 2000 })),
   );

@@ -20,6 +20,8 @@ from service.lots.stone_changes import FORM_FACTORS
 from service.recording.live_recording import EndedBy, RecordingState
 from service.reports.signatures import SignatureState
 from service.results.fields import MEASURED_FIELDS, LossReason, Outcome, Verified
+from service.web.auth import ANYBODY, THIS_MACHINE
+from service.web.problems import all_problems
 from service.web.routes.screens import installed_screens
 
 FOLDER = Path(screens.__file__).parent
@@ -37,15 +39,16 @@ def used() -> dict[str, list[str]]:
     shown = installed_screens()
     scripts = {path: file for path, file in shown.files.items() if path.startswith("scripts/")}
     found: dict[str, list[str]] = {}
-    for path, file in {**scripts, **shown.pages}.items():
-        for key in LITERAL.findall(file.content.decode()):
+    texts = {path: file.content.decode() for path, file in scripts.items()}
+    for path, text in {**texts, **shown.pages}.items():
+        for key in LITERAL.findall(text):
             found.setdefault(key, []).append(path)
     return found
 
 
 def pattern(key: str) -> re.Pattern[str]:
     fixed = re.split(r"\$\{[^}]*\}", key)
-    return re.compile("[a-z0-9_-]+".join(map(re.escape, fixed)))
+    return re.compile("[A-Za-z0-9_-]+".join(map(re.escape, fixed)))
 
 
 def test_both_languages_have_the_same_words_in_order() -> None:
@@ -81,8 +84,12 @@ def test_all_measures_of_the_form_have_names_and_all_names_are_of_measures() -> 
         ("ne107.", list(Ne107)),
         ("operator.state-", [state for state in AcquisitionState if state is not AcquisitionState.ARMED]),
         ("operator.activity-", ["idle", "measuring", "suspended"]),
-        ("operator.verdict-", [*Verdict, "none"]),
         ("verdict.", [*Verdict, "none"]),
+        (
+            "operator.sentence-",
+            [*Verdict, "none", "conforms-partly", "closed-undecided", "closed-does_not_conform"],
+        ),
+        ("who.", [THIS_MACHINE.replace(" ", "-"), ANYBODY]),
         ("operator.priority-", list(Priority)),
         ("operator.alarm-", list(ANNOUNCED)),
         ("operator.camera-", list(DeviceState)),
@@ -98,6 +105,7 @@ def test_all_measures_of_the_form_have_names_and_all_names_are_of_measures() -> 
         ("setup.recording-state-", list(RecordingState)),
         ("setup.recording-ended-", list(EndedBy)),
         ("verify.state-", list(SignatureState)),
+        ("problem.", [slug for titles in all_problems().values() for slug in titles]),
     ],
 )
 def test_every_value_that_is_told_has_words(prefix: str, values: list[str]) -> None:
