@@ -2,15 +2,22 @@
 
 import cv2
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
 
-from pipeline.arrays import Floats, Greys, Indices32, Matrix33, PointsMM, Singles, Values
+from pipeline.arrays import Faces, Floats, Greys, Indices32, Matrix33, PointsMM, Singles
+from pipeline.compiled import compiled
 from pipeline.geometry.bounds import bounds
+from pipeline.geometry.decimation import decimated
+from pipeline.geometry.icosphere import icosphere
 
 ColorImage = NDArray[np.uint8]
 """(H, W, 3) RGB."""
+THUMBNAIL_PX, PICTURE_PX = 240, 480
+"""Edges of the pictures of stones: the one that a worker draws with each stone, and the larger one."""
+PREVIEW_NAME = "preview-{}.png"
+"""Name of the file of a picture, by its edge in pixels."""
+THUMBNAIL_VERTICES = 12_000
+"""Vertices of a thumbnail's mesh: those in front are two pixels apart."""
 VIEW_DIRECTION = (-0.55, 0.70, -0.45)
 """Viewing direction in the world frame: the body is seen from the front, the right and above."""
 BODY_SHARE = 0.80
@@ -63,23 +70,43 @@ def render_preview(
     px_per_mm = BODY_SHARE * size_px / float((high - low)[:2].max())
 
     n_samples = size_px * SAMPLES_PER_PIXEL
-    axis_mm = (np.arange(n_samples) + 0.5 - n_samples / 2) / (px_per_mm * SAMPLES_PER_PIXEL)
-    half_width_mm, half_height_mm, half_depth_mm = (high - low) / 2
-    columns, rows = np.abs(axis_mm) <= half_width_mm, np.abs(axis_mm) <= half_height_mm
+    center = (n_samples - 1) / 2
+    points = points_mm * (px_per_mm * SAMPLES_PER_PIXEL) + [center, center, 0]
     canvas = np.linspace(TOP_RGB, BOTTOM_RGB, n_samples, dtype=np.float32)[:, None].repeat(n_samples, axis=1)
-    body = np.ix_(rows, columns)
     colors = np.asarray(colors_rgb, dtype=np.float32)
     brightness = _vertex_brightness(points_mm, triangles)[:, None]
     if colors.ndim == 2:
         brightness = unshaded_share + (1 - unshaded_share) * brightness
-    lit_rgb = brightness * colors
-    canvas[body] = _shaded(
-        points_mm, triangles, lit_rgb, axis_mm[columns], axis_mm[rows], half_depth_mm, canvas[body]
-    )
+    _draw(canvas, np.full(canvas.shape[:2], np.inf), points, triangles, brightness * colors)
     picture = cv2.resize(canvas, (size_px, size_px), interpolation=cv2.INTER_AREA)
     image = np.rint(255 * np.clip(picture, 0, 1)).astype(np.uint8)
     _draw_scale_bar(image, px_per_mm)
     return image
+
+
+def preview_png(vertices_mm: PointsMM, faces: Faces, greys: Greys | None, size_px: int) -> bytes:
+    """Return a picture of a stone as PNG, in the greys (N,) of its vertices if they have any.
+
+    The thumbnail is drawn from a mesh of about `THUMBNAIL_VERTICES`, so that its time does not depend on the stone's.
+    """
+    if size_px <= THUMBNAIL_PX:
+        vertices_mm, faces, greys = decimated(vertices_mm, faces, greys, THUMBNAIL_VERTICES)
+    colors_rgb = STONE_RGB if greys is None else colors_of(greys)
+    return encode_png(
+        render_preview(vertices_mm, faces, size_px, colors_rgb=colors_rgb, unshaded_share=0.0)[..., ::-1]
+    )
+
+
+def encode_png(image: NDArray[np.uint8]) -> bytes:
+    """Return a grey (H, W) or BGR (H, W, 3) image as PNG; fast rather than small."""
+    _, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    return encoded.tobytes()
+
+
+def warm_up() -> bytes:
+    """Draw a coarse ball, which compiles the loop of this module before the first stone."""
+    directions, faces = icosphere(subdivisions=1)
+    return preview_png(directions, faces, None, THUMBNAIL_PX)
 
 
 def colors_of(greys: Greys) -> Singles:
@@ -96,30 +123,41 @@ def _picture_frame(view_direction: tuple[float, float, float]) -> Matrix33:
     return np.stack([right, np.cross(away, right), away])
 
 
-def _shaded(
-    points_mm: PointsMM,
-    triangles: Indices32,
-    lit_rgb: Singles,
-    u_mm: Values,
-    v_mm: Values,
-    half_depth_mm: float,
-    backdrop_rgb: Singles,
-) -> Singles:
-    """Return the image (V, U, 3) of the body, with vertex colours `lit_rgb` (N, 3), in front of the backdrop."""
-    scene = EmbreeScene()
-    TriangleMesh(scene, points_mm.astype(np.float32), triangles)
-    origins = np.empty((len(v_mm), len(u_mm), 3), dtype=np.float32)
-    origins[..., 0], origins[..., 1], origins[..., 2] = u_mm, v_mm[:, None], -half_depth_mm - 1
-    directions = np.zeros((origins.size // 3, 3), dtype=np.float32)
-    directions[:, 2] = 1
-    hits = scene.run(origins.reshape(-1, 3), directions, output=1)
-    is_hit = hits["primID"] >= 0
+@compiled
+def _draw(
+    canvas_rgb: Singles, depths: Floats, points: Floats, triangles: Indices32, lit_rgb: Singles
+) -> None:
+    """Draw triangles, with vertices (N, 3) in columns, rows and depth and their colours (N, 3), nearest in front.
 
-    corners_rgb = lit_rgb[triangles[hits["primID"][is_hit]]]
-    u, v = hits["u"][is_hit, None], hits["v"][is_hit, None]
-    shaded = backdrop_rgb.reshape(-1, 3).copy()
-    shaded[is_hit] = (1 - u - v) * corners_rgb[:, 0] + u * corners_rgb[:, 1] + v * corners_rgb[:, 2]
-    return shaded.reshape(backdrop_rgb.shape)
+    `canvas_rgb` (H, W, 3) and `depths` (H, W), at first infinite, are written (z-buffer).
+    """
+    height, width = depths.shape
+    for triangle in range(len(triangles)):
+        a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+        ax, ay, bx, by, cx, cy = (
+            points[a, 0],
+            points[a, 1],
+            points[b, 0],
+            points[b, 1],
+            points[c, 0],
+            points[c, 1],
+        )
+        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        if area == 0:  # seen from the edge
+            continue
+        for row in range(max(0, int(np.ceil(min(ay, by, cy)))), min(height, int(max(ay, by, cy)) + 1)):
+            for column in range(max(0, int(np.ceil(min(ax, bx, cx)))), min(width, int(max(ax, bx, cx)) + 1)):
+                u = ((column - ax) * (cy - ay) - (cx - ax) * (row - ay)) / area
+                v = ((bx - ax) * (row - ay) - (column - ax) * (by - ay)) / area
+                if u < 0 or v < 0 or u + v > 1:
+                    continue
+                depth = (1 - u - v) * points[a, 2] + u * points[b, 2] + v * points[c, 2]
+                if depth < depths[row, column]:
+                    depths[row, column] = depth
+                    for k in range(3):
+                        canvas_rgb[row, column, k] = (
+                            (1 - u - v) * lit_rgb[a, k] + u * lit_rgb[b, k] + v * lit_rgb[c, k]
+                        )
 
 
 def _vertex_brightness(points_mm: PointsMM, triangles: Indices32) -> Singles:

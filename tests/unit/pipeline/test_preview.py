@@ -1,8 +1,19 @@
+import cv2
 import numpy as np
 import pytest
 import trimesh
 
-from pipeline.preview import BODY_SHARE, INK_RGB, colors_of, render_preview
+from pipeline.preview import (
+    BODY_SHARE,
+    INK_RGB,
+    PICTURE_PX,
+    THUMBNAIL_PX,
+    THUMBNAIL_VERTICES,
+    VIEW_DIRECTION,
+    colors_of,
+    preview_png,
+    render_preview,
+)
 from pipeline.synthesis.bodies import cube, sphere
 
 
@@ -81,3 +92,32 @@ def test_greys_of_cameras_are_shown_as_bright_as_they_were_and_shaded() -> None:
     assert flat[92, 60] == pytest.approx(255 * (50 / 255) ** (1 / 2.2), abs=1)
     assert (np.ptp(shaded[30:92, 60], axis=1) == 0).all()
     assert shaded[92, 60, 0] < 0.9 * flat[92, 60, 0], "its underside is in the shade"
+
+
+def test_what_is_nearer_hides_what_is_behind_in_whatever_order_they_come() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=5.0)
+    behind_mm = 20 * np.array(VIEW_DIRECTION)
+    vertices_mm = np.vstack([ball.vertices, ball.vertices + behind_mm])
+    faces = np.vstack([ball.faces, ball.faces + len(ball.vertices)])
+    colors_rgb = np.repeat([(0.8, 0.1, 0.1), (0.1, 0.1, 0.8)], len(ball.vertices), axis=0)
+    image = render_preview(vertices_mm, faces, 120, colors_rgb=colors_rgb)
+    assert np.array_equal(image, render_preview(vertices_mm, faces[::-1], 120, colors_rgb=colors_rgb))
+    assert image[60, 60, 0] > 2 * image[60, 60, 2]
+    is_blue = image[..., 2].astype(int) - image[..., 0] > 40
+    assert not is_blue.any(), "all of the ball behind is hidden"
+
+
+def test_a_thumbnail_looks_like_the_picture_at_half_its_size() -> None:
+    body = sphere().mesh.subdivide()  # more vertices than a thumbnail has
+    assert len(body.vertices) > THUMBNAIL_VERTICES
+    greys = np.where(body.vertices[:, 2] > 0, 200, 50).astype(np.uint8)
+    thumbnail, picture = (
+        cv2.imdecode(np.frombuffer(preview_png(body.vertices, body.faces, greys, size), np.uint8), 1)
+        for size in (THUMBNAIL_PX, PICTURE_PX)
+    )
+    assert thumbnail is not None
+    assert picture is not None
+    assert thumbnail.shape == (THUMBNAIL_PX, THUMBNAIL_PX, 3)
+    difference = np.abs(cv2.pyrDown(picture).astype(int) - thumbnail)[:200]  # above the scale bar's text
+    assert np.mean(difference) < 2
+    assert len(preview_png(body.vertices, body.faces, greys, THUMBNAIL_PX)) < 40_000
