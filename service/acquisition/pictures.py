@@ -1,4 +1,4 @@
-"""Pictures of the latest frames, made in the process `stonefall-read`."""
+"""Pictures of the latest frames, made in the process `stonefall-draw`."""
 
 from collections.abc import Sequence
 

@@ -103,7 +103,7 @@ async def contact_sheet(context: Context) -> Response:
     async def make() -> bytes:
         latest = context.part(Acquisition).cameras.latest_image
         images = [latest(status.id) for status in context.control.cameras()]
-        return await context.reading.run(
+        return await context.drawing.run(
             contact_sheet_jpg, [None if image is None else subsampled(image) for image in images]
         )
 
@@ -128,7 +128,7 @@ async def snapshot(context: Context, camera: CameraName) -> Response:
     image = context.part(Acquisition).cameras.latest_image(_status_of(context, camera).id)
     if image is None:
         raise Problem(404, "not-kept", f"camera {camera} has delivered no frame yet")
-    png = await context.reading.run(snapshot_png, image)
+    png = await context.drawing.run(snapshot_png, image)
     return Response(png, media_type="image/png", headers={"Cache-Control": "no-store"})
 
 

@@ -132,6 +132,7 @@ async def _worker_context(session: Session) -> WorkerContext:
         speed_at_gate_mm_s=session.source.fall.speed_at_gate_mm_s,
         segmentation=segmentation,
         compact_meshes=not session.settings.store.exact_meshes,
+        draws_thumbnails=True,
     )
 
 

@@ -29,12 +29,12 @@ from service.processing.worker_process import freeze_gc, keep_freed_memory
 from service.store import Store, open_store
 from service.store.accounting import accounting
 from service.store.trouble import TroubleCause, trouble_of
-from service.web.reader_process import ReaderProcess
+from service.web.reader_process import DRAWING, ReaderProcess
 from service.web.server import RestServer, listen, server_config
 
 log = logging.getLogger(__name__)
 
-READER_IMPORTS = ("service.particles.pages", "service.particles.renditions")
+READER_IMPORTS, DRAWER_IMPORTS = ("service.particles.pages",), ("service.particles.renditions",)
 """Modules whose import would hold the first page, mesh or picture that is asked for."""
 FULL_S = 2.0
 """Pause before the store is opened again while its disk is full."""
@@ -55,14 +55,15 @@ async def run(settings: Settings, manager: ServiceManager, file: Path) -> None:
         if store is None:
             return
         resources.push_async_callback(asyncio.to_thread, store.close)
-        reading = ReaderProcess(READER_IMPORTS)
+        reading, drawing = ReaderProcess(READER_IMPORTS), ReaderProcess(DRAWER_IMPORTS, DRAWING)
         daemon = await build(Configuration(settings, file), store, reading, requests)
         resources.push_async_callback(asyncio.to_thread, daemon.session.devices.close)
         resources.push_async_exit(partial(_end_spool, daemon.session.folder))
         resources.callback(daemon.pool.close)
         resources.push_async_callback(daemon.recordings.close)
         resources.callback(reading.close)
-        server = await _warmed_up(daemon, reading, manager)
+        resources.callback(drawing.close)
+        server = await _warmed_up(daemon, reading, drawing, manager)
         watchdog = Part(
             run=partial(feed_watchdog, manager, daemon.watch, daemon.status, requests.stop),
             close=partial(_tell_accounting, daemon.session),
@@ -101,13 +102,16 @@ async def _end_spool(folder: Path, kind: type[BaseException] | None, *_: object)
             folder.parent.rmdir()
 
 
-async def _warmed_up(daemon: Daemon, reading: ReaderProcess, manager: ServiceManager) -> RestServer:
+async def _warmed_up(
+    daemon: Daemon, reading: ReaderProcess, drawing: ReaderProcess, manager: ServiceManager
+) -> RestServer:
     """Start all processes and return the REST server, with everything prepared that would hold the loop for 0.3 s."""
-    app = create_app(daemon.session.store, daemon, daemon.settings.api, reading, daemon.keys)
+    app = create_app(daemon.session.store, daemon, daemon.settings.api, reading, drawing, daemon.keys)
     manager.notify("STATUS=warming up the workers")
     await asyncio.gather(
         daemon.pool.start(),
         reading.start(),
+        drawing.start(),
         asyncio.to_thread(app.openapi),  # FastAPI's routes and their description
         asyncio.to_thread(daemon.calibrations.rig.cameras[0].rays, [[0, 0]]),  # numba's tables
     )

@@ -1,4 +1,4 @@
-"""Meshes and images of a stored particle in the formats that clients ask for, made in the process `stonefall-read`."""
+"""Meshes and images of a stored particle in the formats that clients ask for, made in the process `stonefall-draw`."""
 
 import json
 from contextlib import suppress
@@ -10,25 +10,25 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.errors import RecordingError
 from drivers.files.compact_mesh import read_compact_mesh
-from drivers.files.durable import unfinished
 from drivers.files.mesh_file import ply_bytes
 from drivers.files.mesh_parsing import parse_mesh
 from drivers.files.recording import read_bundle, read_header
 from drivers.files.silhouette_file import read_silhouettes
-from pipeline.arrays import Greys, Mask
+from pipeline.arrays import Faces, Greys, Mask, PointsMM
 from pipeline.errors import MeshError
 from pipeline.frames import CameraId, Image
+from pipeline.geometry.decimation import decimated
 from pipeline.measuring.contacts import contacts_of
-from pipeline.preview import STONE_RGB, colors_of, render_preview
+from pipeline.preview import PREVIEW_NAME, encode_png, preview_png
 
 if TYPE_CHECKING:
     import trimesh
 
-PREVIEW_SIZE_PX = 480
+COARSE_VERTICES = 2500
+"""Vertices of a mesh that is a preview: as GLB it has about 100 kB."""
 STONE, UNKNOWN = 255, 128  # labels of a silhouette
 OUTLINE_STYLE = (
     "path{fill:none;stroke-width:2;vector-effect:non-scaling-stroke}"
@@ -47,16 +47,25 @@ class MeshFormat(StrEnum):
     GLB = "glb"
 
 
+class Detail(StrEnum):
+    """Detail of a mesh: a preview has about 2500 vertices, a fortieth of the full mesh of a large stone."""
+
+    PREVIEW = "preview"
+    FULL = "full"
+
+
 class NotKeptError(Exception):
     """The file was never written, was removed since, or is damaged."""
 
 
-def mesh_bytes(folder: Path, mesh_format: MeshFormat) -> bytes:
+def mesh_bytes(folder: Path, mesh_format: MeshFormat, detail: Detail) -> bytes:
     """Return the mesh as a file of this format; raise `NotKeptError` without a mesh."""
     exact = folder / "mesh.ply"
-    if mesh_format is MeshFormat.PLY and exact.exists():
+    if mesh_format is MeshFormat.PLY and detail is Detail.FULL and exact.exists():
         return exact.read_bytes()
     mesh = stored_mesh(folder)
+    if detail is Detail.PREVIEW:
+        mesh = _mesh_of(*decimated(mesh.vertices, mesh.faces, _greys(mesh), COARSE_VERTICES))
     if mesh_format is MeshFormat.PLY:
         return ply_bytes(mesh.vertices, mesh.faces, _greys(mesh))
     if mesh_format is MeshFormat.GLB:
@@ -66,27 +75,20 @@ def mesh_bytes(folder: Path, mesh_format: MeshFormat) -> bytes:
     return exported.getvalue()
 
 
-def preview_png(folder: Path) -> bytes:
-    """Return a picture of the mesh, rendered once and kept beside it; raise `NotKeptError` without a mesh."""
-    kept = folder / f"preview-{PREVIEW_SIZE_PX}.png"
-    if kept.exists() and (png := kept.read_bytes()).endswith(PNG_END):  # else it was torn by a power cut
+def kept_preview(folder: Path, size_px: int) -> bytes | None:
+    """Return the picture of this edge that was drawn with the stone, None where there is none."""
+    with suppress(FileNotFoundError):
+        png = (folder / PREVIEW_NAME.format(size_px)).read_bytes()
+        return png if png.endswith(PNG_END) else None  # torn by a power cut
+    return None
+
+
+def stone_png(folder: Path, size_px: int) -> bytes:
+    """Return a picture of the mesh, (`size_px`, `size_px`); raise `NotKeptError` without a mesh."""
+    if (png := kept_preview(folder, size_px)) is not None:
         return png
     mesh = stored_mesh(folder)
-    greys = _greys(mesh)
-    image_rgb = render_preview(
-        mesh.vertices,
-        mesh.faces,
-        PREVIEW_SIZE_PX,
-        colors_rgb=STONE_RGB if greys is None else colors_of(greys),
-        unshaded_share=0.0,
-    )
-    png = encode_png(image_rgb[..., ::-1])
-    with suppress(OSError):  # a full disk costs the next request the same time
-        # not flushed: results wait for the same disk, and a picture can be made again
-        temporary = unfinished(kept)
-        temporary.write_bytes(png)
-        temporary.replace(kept)
-    return png
+    return preview_png(mesh.vertices, mesh.faces, _greys(mesh), size_px)
 
 
 def view_png(folder: Path, camera: str) -> bytes:
@@ -120,12 +122,6 @@ def stored_silhouette(folder: Path, camera: str) -> Image:
     return labels
 
 
-def encode_png(image: NDArray[np.uint8]) -> bytes:
-    """Return a grey (H, W) or BGR (H, W, 3) image as PNG; fast rather than small."""
-    _, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    return encoded.tobytes()
-
-
 def stored_file(path: Path) -> Path:
     """Return the path of a file that is there; raise `NotKeptError` if it is not."""
     if not path.is_file():
@@ -137,19 +133,19 @@ def stored_mesh(folder: Path) -> "trimesh.Trimesh":
     """Return the mesh, whether it was stored compact or exact."""
     path = folder / "mesh.ply" if (folder / "mesh.ply").exists() else stored_file(folder / "mesh.sfmesh")
     try:
-        if path.suffix == ".ply":
-            mesh = parse_mesh(path)
-        else:
-            import trimesh  # here: with its dependencies it takes a second
-
-            vertices_mm, faces, greys = read_compact_mesh(path)
-            colors = None if greys is None else np.repeat(greys[:, None], 3, axis=1)
-            mesh = trimesh.Trimesh(vertices_mm, faces, vertex_colors=colors, process=False)
+        mesh = parse_mesh(path) if path.suffix == ".ply" else _mesh_of(*read_compact_mesh(path))
     except RecordingError as err:
         raise NotKeptError(f"{path.name} {err.problem}") from err
     if mesh.faces.size == 0 or not np.isfinite(mesh.vertices).all():
         raise NotKeptError(f"{path.name} is damaged")
     return mesh
+
+
+def _mesh_of(vertices_mm: PointsMM, faces: Faces, greys: Greys | None) -> "trimesh.Trimesh":
+    import trimesh  # here: with its dependencies it takes a second
+
+    colors = None if greys is None else np.repeat(greys[:, None], 3, axis=1)
+    return trimesh.Trimesh(vertices_mm, faces, vertex_colors=colors, process=False)
 
 
 def _greys(mesh: "trimesh.Trimesh") -> Greys | None:

@@ -24,7 +24,7 @@ from drivers.files.mesh_file import write_mesh
 from drivers.files.recording import read_bundle
 from drivers.files.rig_file import read_rig
 from drivers.files.silhouette_file import write_silhouettes
-from pipeline import carving, estimate, measuring, meshing, refinement
+from pipeline import carving, estimate, measuring, meshing, preview, refinement
 from pipeline.frames import CameraId
 from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
 from pipeline.rig.cameras import RigCalibration
@@ -44,7 +44,12 @@ from service.results.record import optics_record, result_record
 
 NICENESS = 10
 """Niceness of the workers above that of the daemon (nice(2))."""
-MESH, COMPACT_MESH, SILHOUETTES = RESULT_FILES = ("mesh.ply", "mesh.sfmesh", "silhouettes.tiff")
+MESH, COMPACT_MESH, SILHOUETTES, THUMBNAIL = RESULT_FILES = (
+    "mesh.ply",
+    "mesh.sfmesh",
+    "silhouettes.tiff",
+    preview.PREVIEW_NAME.format(preview.THUMBNAIL_PX),
+)
 """Files of a result; a worker that crashed may have left others."""
 GC_THRESHOLD = 20_000
 """New objects between two garbage collections: with Python's default, they take 9 % of the compiler's time."""
@@ -59,6 +64,7 @@ class WorkerContext:
     speed_at_gate_mm_s: float = 0.0  # of the stones, as the gate's beam closes
     segmentation: SegmenterPlan = CLASSICAL
     compact_meshes: bool = False  # instead of PLY
+    draws_thumbnails: bool = False  # of bodies, but in a rush
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +146,8 @@ def prepare(context: WorkerContext) -> list[WarmUp]:
         partial(carving.warm_up, context.parameters.carving),
         meshing.warm_up,
     ]
+    if context.draws_thumbnails:
+        steps.append(preview.warm_up)
     if context.parameters.body.kind == "photo":
         steps.append(refinement.warm_up)
     if context.parameters.body.is_textured:
@@ -183,7 +191,7 @@ def this_worker() -> Worker:
 
 
 def measure(job: MeasureJob) -> MeasuredBundle:
-    """Measure one bundle; return its record, and write its mesh and `silhouettes.tiff`.
+    """Measure one bundle; return its record, and write its mesh, `silhouettes.tiff` and thumbnail.
 
     Raises `RecordingError` when nothing of the bundle can be read, `WorkerFailure` with the traceback as text for an
     exception that says nothing about the stone.
@@ -211,7 +219,7 @@ def measure(job: MeasureJob) -> MeasuredBundle:
         on_stage("load")
         with view_mapper(job.threads) as mapper:
             result = measure_bundle(bundle, rig, background, worker.segmenter, parameters, on_stage, mapper)
-        _write_files(job, result, compact_mesh=worker.context.compact_meshes)
+        _write_files(job, result, worker.context)
         on_stage("write")
     timings_ms["total"] = round(sum(timings_ms.values()), 2)
     record = result_record(
@@ -241,10 +249,13 @@ def view_mapper(n_threads: int) -> Iterator[ViewMapper]:
         yield threads.map
 
 
-def _write_files(job: MeasureJob, result: ParticleResult, *, compact_mesh: bool) -> None:
+def _write_files(job: MeasureJob, result: ParticleResult, context: WorkerContext) -> None:
     if (mesh := result.mesh) is not None:
-        write, name = (write_compact_mesh, COMPACT_MESH) if compact_mesh else (write_mesh, MESH)
+        write, name = (write_compact_mesh, COMPACT_MESH) if context.compact_meshes else (write_mesh, MESH)
         write(job.out_dir / name, mesh.vertices_mm, mesh.faces, result.greys)
+        if context.draws_thumbnails and not job.is_rushed:
+            png = preview.preview_png(mesh.vertices_mm, mesh.faces, result.greys, preview.THUMBNAIL_PX)
+            (job.out_dir / THUMBNAIL).write_bytes(png)
     if job.save_silhouettes:
         seen = result.silhouettes
         size_px = next(iter(seen.values())).image_size_px

@@ -8,6 +8,7 @@ from importlib import metadata
 from pathlib import Path
 
 from drivers.files.times import utc_now
+from pipeline.preview import THUMBNAIL_PX
 from service.base.csv_text import STYLES
 from service.base.language import Language
 from service.lots.evaluation import lot_figures, passing_of, window_figures
@@ -16,7 +17,7 @@ from service.lots.laboratory import valid_sievings
 from service.lots.plant import PlantSettings, logo_of
 from service.lots.stones import Choice, stones_of_lot
 from service.lots.yardsticks import Request
-from service.particles.renditions import NotKeptError, preview_png
+from service.particles.renditions import NotKeptError, stone_png
 from service.reports.csv_file import render_csv
 from service.reports.curve import Beside, curve_svg
 from service.reports.printed import render_html, render_pdf
@@ -170,7 +171,7 @@ def _gallery(
 def _preview(connection: sqlite3.Connection, particles_dir: Path, seq: int) -> bytes | None:
     folder = newest_folder(connection, seq)
     with suppress(NotKeptError):
-        return None if folder is None else preview_png(path_of(particles_dir, folder))
+        return None if folder is None else stone_png(path_of(particles_dir, folder), THUMBNAIL_PX)
     return None
 
 

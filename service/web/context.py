@@ -47,7 +47,9 @@ class ApiContext:
     settings: ApiSettings
     keys: KeyRing
     reading: Reading
-    """Where meshes, pictures and big pages are made: clients must not take the processor from measuring."""
+    """Where figures, documents and big pages are made: clients must not take the processor from measuring."""
+    drawing: Reading
+    """Where meshes and pictures of stones are made: figures do not wait for them."""
     sessions: Sessions
     site: Callable[[], str] = str
     """Returns the name of plant and instrument, which pages have in their heads; empty without one."""

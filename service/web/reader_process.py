@@ -1,7 +1,8 @@
-"""What clients ask for and takes long is made in a process of its own, with a lower priority than the workers.
+"""What clients ask for and takes long is made in two processes, with a lower priority than the workers.
 
-It starts with the daemon, as its imports would compete with several stones. When it dies, a request is tried once more
-in a new one; the daemon, its loop and its interpreter's lock have no part in it but to pass on the bytes.
+Meshes and pictures have one of their own, so that no figure or verdict waits for them. Both start with the daemon, as
+their imports would compete with several stones. When one dies, a request is tried once more in a new one; the daemon,
+its loop and its interpreter's lock have no part in it but to pass on the bytes.
 """
 
 import asyncio
@@ -31,8 +32,8 @@ NICENESS = 19
 
 Of the class SCHED_IDLE the process would get nothing on a machine that is busy for long, and clients no answer.
 """
-PROCESS_NAME = "stonefall-read"
-"""Name of the process in `ps` and `top`."""
+READING, DRAWING = "stonefall-read", "stonefall-draw"
+"""Names of the process for figures and documents, and of the one for pictures and meshes, in `ps` and `top`."""
 
 
 class BusyError(ProblemError):
@@ -66,11 +67,11 @@ def _import(modules: Sequence[str]) -> bool:
 
 
 class ReaderProcess:
-    """Runs one request at a time in the process `stonefall-read`, which imports `modules` first; a `Reading`."""
+    """Runs one request at a time in a process of this name, which imports `modules` first; a `Reading`."""
 
-    def __init__(self, modules: Sequence[str] = ()) -> None:
+    def __init__(self, modules: Sequence[str] = (), name: str = READING) -> None:
         self._pool = WorkerPool(
-            slots=1, deadline_s=DEADLINE_S, prepare=prepare, context=(NICENESS, modules), name=PROCESS_NAME
+            slots=1, deadline_s=DEADLINE_S, prepare=prepare, context=(NICENESS, modules), name=name
         )
         self._turn = asyncio.Lock()
         self._n_waiting = 0

@@ -14,6 +14,7 @@ from support.outcomes import add, measured, rejected
 from support.rest import BOX_MM, GREY, particle_files
 from support.stores import folder_of
 
+from drivers.files.compact_mesh import write_compact_mesh
 from service.particles.routes.particles import ParticlesPage
 from service.results.fields import Result
 from service.store import Store
@@ -163,20 +164,46 @@ async def test_views_and_silhouettes(client: httpx.AsyncClient, particle_id: str
         np.testing.assert_array_equal(labels, np.full((6, 8), grey // 2))
 
 
-async def test_preview_is_rendered_once(client: httpx.AsyncClient, store: Store, particle_id: str) -> None:
-    answer = await client.get(f"/particles/{particle_id}/preview.png")
-    image = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_UNCHANGED)
-    assert image is not None
-    assert image.shape == (480, 480, 3)
-    blue, _, red = image[240, 240].astype(int)
-    assert red > blue  # a warm grey: the channels are not swapped
-    kept = folder_of(store.dir, particle_id) / "preview-480.png"
-    assert kept.read_bytes() == answer.content
-    kept.write_bytes(b"kept" + answer.content)
-    assert (await client.get(f"/particles/{particle_id}/preview.png")).content == b"kept" + answer.content
-    kept.write_bytes(answer.content[:-100])  # torn by a power cut
-    assert (await client.get(f"/particles/{particle_id}/preview.png")).content == answer.content
-    assert kept.read_bytes() == answer.content
+async def test_a_picture_is_drawn_unless_it_came_with_its_stone(
+    client: httpx.AsyncClient, store: Store, particle_id: str
+) -> None:
+    for query, size_px in (("", 480), ("?size_px=240", 240)):
+        address = f"/particles/{particle_id}/preview.png{query}"
+        answer = await client.get(address)
+        image = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_UNCHANGED)
+        assert image is not None
+        assert image.shape == (size_px, size_px, 3)
+        blue, _, red = image[size_px // 2, size_px // 2].astype(int)
+        assert red > blue  # a warm grey: the channels are not swapped
+        kept = folder_of(store.dir, particle_id) / f"preview-{size_px}.png"
+        assert not kept.exists()  # the store alone writes there
+        kept.write_bytes(b"kept" + answer.content)
+        assert (await client.get(address)).content == b"kept" + answer.content
+        kept.write_bytes(answer.content[:-100])  # torn by a power cut
+        assert (await client.get(address)).content == answer.content
+    assert (await client.get(f"/particles/{particle_id}/preview.png?size_px=9000")).status_code == 422
+
+
+async def test_the_preview_of_a_mesh_is_small_closed_and_where_the_mesh_is(
+    client: httpx.AsyncClient, store: Store, session: int, tmp_path: Path
+) -> None:
+    full = trimesh.creation.icosphere(subdivisions=6, radius=9.0)
+    greys = np.full(len(full.vertices), 77, np.uint8)
+    write_compact_mesh(tmp_path / "mesh.sfmesh", full.vertices, full.faces, greys)
+    await add(store, session, 1, measured(), {"mesh.sfmesh": tmp_path / "mesh.sfmesh"})
+    whole = await client.get("/particles/1/mesh.glb")
+    for path in ("mesh.glb", "mesh.ply", "mesh.stl"):
+        answer = await client.get(f"/particles/1/{path}?detail=preview")
+        preview = trimesh.load_mesh(BytesIO(answer.content), file_type=path[-3:])
+        unit = 1000 if path == "mesh.glb" else 1
+        assert preview.is_watertight
+        assert 1500 < len(preview.vertices) < 3500
+        assert preview.volume * unit**3 == pytest.approx(full.volume, rel=0.01)
+        assert answer.headers["ETag"] != (await client.get(f"/particles/1/{path}")).headers["ETag"]
+    small = await client.get("/particles/1/mesh.glb?detail=preview")
+    assert len(small.content) < 130_000 < len(whole.content) / 10
+    colors = trimesh.load_mesh(BytesIO(small.content), file_type="glb").visual.vertex_colors
+    assert (colors[:, :3] == 77).all()
 
 
 async def test_files_may_be_cached_for_ever(client: httpx.AsyncClient, particle_id: str) -> None:
@@ -185,6 +212,8 @@ async def test_files_may_be_cached_for_ever(client: httpx.AsyncClient, particle_
         "mesh.stl",
         "mesh.glb",
         "preview.png",
+        "preview.png?size_px=240",
+        "mesh.glb?detail=preview",
         "calipers",
         "views/c01.png",
         "views/c01/silhouette.png",

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import httpx
 import pytest
+import trimesh
 from support.daemon_process import process_name
 from support.eventually import PATIENCE_S
 from support.outcomes import add, measured, rejected
@@ -16,7 +17,7 @@ from support.rest import FakeControl, ReadingThread, app_of, assert_problem, cli
 from support.worker_jobs import Stumble, stumble, wait_for
 
 from service.base.errors import StoreError
-from service.particles.renditions import NotKeptError, preview_png
+from service.particles.renditions import NotKeptError, stone_png
 from service.particles.routes.results import RESULTS
 from service.store import Store, read
 from service.store.reads import results_after
@@ -29,6 +30,7 @@ from service.web.reader_process import BusyError, ReaderProcess
 T = TypeVar("T")
 FILES = ("mesh.ply", "mesh.stl", "mesh.glb", "preview.png", "views/c01.png", "views/c01/silhouette.png")
 N_POLLS = 60
+N_PICTURES = 60
 
 
 @pytest.fixture
@@ -146,11 +148,11 @@ async def test_its_death_costs_one_retry_then_an_answer_to_come_again(
 async def test_what_it_raises_is_raised_here(tmp_path: Path, reading: ReaderProcess) -> None:
     pid = await reading.run(os.getpid)
     with pytest.raises(NotKeptError, match=r"mesh\.sfmesh was not kept"):
-        await reading.run(preview_png, tmp_path)
+        await reading.run(stone_png, tmp_path, 480)
     with pytest.raises(StoreError, match="nowhere"):
         await reading.run(read, tmp_path / "nowhere", results_after, 0, 1)
     with pytest.raises(TypeError):
-        await reading.run(preview_png)
+        await reading.run(stone_png)
     assert await reading.run(os.getpid) == pid
 
 
@@ -172,6 +174,38 @@ async def test_when_too_many_wait_the_next_is_told_to_come_again(
     (tmp_path / "go").touch()
     assert len(set(await asyncio.gather(*waiting))) == 1
     assert (await asked(store, control, reading, "/particles/1/preview.png")).status_code == 404
+
+
+async def test_figures_do_not_wait_for_pictures(
+    store: Store, control: FakeControl, session: int, tmp_path: Path
+) -> None:
+    """None of 60 pictures is drawn before the figures have come, and not one of them is lost."""
+    for number in range(1, N_PICTURES + 1):
+        await asyncio.to_thread(trimesh.creation.box().export, tmp_path / "mesh.ply")
+        await add(store, session, number, measured(), {"mesh.ply": tmp_path / "mesh.ply"})
+    may_draw, all_wait, n_drawing = asyncio.Event(), asyncio.Event(), 0
+
+    class Drawing(ReadingThread):
+        async def run(self, function: Callable[..., T], *arguments: object) -> T:
+            nonlocal n_drawing
+            n_drawing += 1
+            if n_drawing == N_PICTURES:
+                all_wait.set()
+            await may_draw.wait()
+            return await super().run(function, *arguments)
+
+    async with client_of(app_of(store, control, drawing=Drawing())) as client, asyncio.timeout(PATIENCE_S):
+        pictures = [
+            asyncio.create_task(client.get(f"/particles/{seq}/preview.png"))
+            for seq in range(1, N_PICTURES + 1)
+            for _ in range(2)  # two who ask for the same share one drawing
+        ]
+        await all_wait.wait()
+        assert (await client.get("/windows/current?minutes=60")).status_code == 200
+        assert not any(picture.done() for picture in pictures)
+        may_draw.set()
+        assert {(await picture).status_code for picture in pictures} == {200}
+    assert n_drawing == N_PICTURES
 
 
 async def test_long_polls_for_the_same_share_one_page(

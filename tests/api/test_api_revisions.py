@@ -13,6 +13,7 @@ from support.remeasuring import AgainPool, add_old
 from support.rest import BOX_MM, assert_problem
 from support.stores import folder_of
 
+from service.processing.measure_job import THUMBNAIL
 from service.results.version import ALGORITHM_VERSION
 from service.store import Store
 
@@ -79,8 +80,10 @@ async def test_files_by_id_are_the_newest_and_by_seq_for_ever(
     assert len({each.content for each in frames}) == 1
     assert (await client.get(f"/particles/{name}/preview.png")).status_code == 200
     folder = folder_of(store.dir, name)
-    assert (folder / "r2" / "preview-480.png").exists()
-    assert not (folder / "preview-480.png").exists()
+    thumbnail = (await client.get(f"/particles/{name}/preview.png?size_px=240")).content
+    assert (folder / "r2" / THUMBNAIL).read_bytes() == thumbnail, "the one that came with the revision"
+    before = (await client.get("/particles/1/preview.png?size_px=240")).content
+    assert len(before) > len(thumbnail), "drawn, as the first result came without one"
 
 
 async def test_pages_of_the_list_go_on_after_a_revision(

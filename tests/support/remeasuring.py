@@ -9,12 +9,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import trimesh
 from support.outcomes import add, measured
 from support.rest import particle_files
 
 from pipeline.particle import PipelineParameters
-from service.processing.measure_job import MESH, MeasuredBundle, MeasureJob, WorkerContext
+from pipeline.preview import encode_png
+from service.processing.measure_job import MESH, THUMBNAIL, MeasuredBundle, MeasureJob, WorkerContext
 from service.remeasuring.jobs import Jobs
 from service.remeasuring.remeasuring import Remeasuring
 from service.results.version import ALGORITHM_VERSION
@@ -27,7 +29,7 @@ OLD = "0"
 
 @dataclass
 class AgainPool:
-    """Stands in for the process that measures again; writes a mesh of other size."""
+    """Stands in for the process that measures again; writes a mesh of other size and a picture of 8 pixels."""
 
     fields: dict[str, Any] = field(default_factory=dict)  # of the next records
     error: Exception | None = None  # raised instead
@@ -45,6 +47,7 @@ class AgainPool:
             raise self.error
         job.out_dir.mkdir(parents=True)
         trimesh.creation.box((1.0, 2.0, 3.0)).export(job.out_dir / MESH)
+        (job.out_dir / THUMBNAIL).write_bytes(encode_png(np.zeros((8, 8), np.uint8)))
         made = {"calibration_id": job.rig_file.calibration_id, "algorithm_version": ALGORITHM_VERSION}
         record = measured(**made, **self.fields)
         return MeasuredBundle(record)

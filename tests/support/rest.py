@@ -200,12 +200,18 @@ def app_of(
     control: FakeControl,
     settings: ApiSettings | None = None,
     reading: Reading | None = None,
+    drawing: Reading | None = None,
 ) -> FastAPI:
-    """Return the application, with a thread in the place of the reading process unless one is given."""
+    """Return the application, with a thread in the place of the reading process unless one is given.
+
+    Without `drawing` that makes pictures and meshes as well.
+    """
     settings = settings or ApiSettings()
     reading = reading or ReadingThread()
     control.figures = KeptFigures(store, reading)
-    return app.create_app(store, control, settings, reading, KeyRing(settings.keys, store))
+    return app.create_app(
+        store, control, settings, reading, drawing or reading, KeyRing(settings.keys, store)
+    )
 
 
 def particle_files(folder: Path) -> dict[str, Path]:

@@ -60,9 +60,17 @@ ROOMS = (
 
 
 def create_app(
-    store: Store, control: Control, settings: ApiSettings, reading: Reading, keys: KeyRing
+    store: Store,
+    control: Control,
+    settings: ApiSettings,
+    reading: Reading,
+    drawing: Reading,
+    keys: KeyRing,
 ) -> FastAPI:
-    """Build the application that serves `store` and steers `control`; what takes long is made by `reading`."""
+    """Build the application that serves `store` and steers `control`.
+
+    What takes long is made by `reading`, or by `drawing` if it is a picture or a mesh of a stone.
+    """
     app = build_routes()
     app.state.context = ApiContext(
         store=store,
@@ -72,6 +80,7 @@ def create_app(
         keys=keys,
         sessions=Sessions(store),
         site=lambda: control.part(PlantSettings).name,
+        drawing=drawing,
     )
     app.state.overviews = Overviews(store, control)
     app.add_middleware(keeping_answers, store=store)  # the innermost: what the others refuse is not kept

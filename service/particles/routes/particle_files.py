@@ -1,25 +1,33 @@
 """The files of one particle: mesh, preview, views and silhouettes.
 
-They never change but by being removed, and what a `seq` or a view names is the same for ever; an `id` names the newest
-revision. Content negotiation and caching go as far as such files need them (RFC 9110, sections 12.5.1 and 13).
+A picture that was drawn with its stone is read; all else is made in the process `stonefall-draw`, once for all who ask
+for the same meanwhile. They never change but by being removed, and what a `seq` or a view names is the same for ever;
+an `id` names the newest revision. Content negotiation and caching go as far as such files need them (RFC 9110, sections
+12.5.1 and 13).
 """
 
+import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from enum import IntEnum
+from functools import partial
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Path, Request
+from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import Response
 
 from pipeline.measuring.contacts import Contacts
+from pipeline.preview import PICTURE_PX, THUMBNAIL_PX
 from service.particles.renditions import (
+    Detail,
     MeshFormat,
     NotKeptError,
     calipers_json,
+    kept_preview,
     mesh_bytes,
     outline_svg,
-    preview_png,
     silhouette_png,
+    stone_png,
     view_png,
 )
 from service.particles.routes.particles import ParticleKey, find_record
@@ -57,9 +65,18 @@ class FileRequest:
     camera: str = ""  # of a view
 
     async def answer(
-        self, name: str, media_type: str, load: Callable[..., bytes], *choice: str, is_fixed: bool = False
+        self,
+        name: str,
+        media_type: str,
+        load: Callable[..., bytes],
+        *choice: str | int,
+        kept: Callable[..., bytes | None] | None = None,
+        is_fixed: bool = False,
     ) -> Response:
-        """Answer with `load(folder, *choice)`, 304 when the client has it; one that is fixed it may cache for ever."""
+        """Answer with `load(folder, *choice)`, 304 when the client has it; one that is fixed it may cache for ever.
+
+        `kept(folder, *choice)` takes no time, and returns None for what has to be made.
+        """
         record = self.record
         members: dict[str, Any] = {"outcome": record["outcome"], "reason": record.get("reason")}
         if (removed := record["files_removed"]) is not None:
@@ -75,15 +92,19 @@ class FileRequest:
             return Response(status_code=304, headers=headers)
         try:
             folder = await self.context.store.folder(record["seq"])
-            content = await self.context.reading.run(load, folder, *choice)
+            content = None if kept is None else await asyncio.to_thread(kept, folder, *choice)
+            if content is None:
+                make = partial(self.context.drawing.run, load, folder, *choice)
+                content = await self.context.shared.get((load, folder, *choice), make, keep_s=0)
         except NotKeptError as err:
             detail = f"particle {record['id']} ({record['outcome']}): {err}"
             raise Problem(404, "not-kept", detail, **members) from err
         return Response(content, media_type=media_type, headers=headers)
 
-    async def mesh(self, mesh_format: MeshFormat) -> Response:
-        """Answer with the mesh in this format."""
-        response = await self.answer(mesh_format, MEDIA_TYPES[mesh_format], mesh_bytes, mesh_format)
+    async def mesh(self, mesh_format: MeshFormat, detail: Detail) -> Response:
+        """Answer with the mesh in this format and detail."""
+        name = mesh_format if detail is Detail.FULL else f"{mesh_format}-{detail}"
+        response = await self.answer(name, MEDIA_TYPES[mesh_format], mesh_bytes, mesh_format, detail)
         response.headers["Vary"] = "Accept"
         return response
 
@@ -112,26 +133,45 @@ async def format_of(mesh_format: Annotated[MeshFormat, Path(description="Format 
     return mesh_format
 
 
+class PictureSize(IntEnum):
+    """Edge of a picture in pixels."""
+
+    THUMBNAIL = THUMBNAIL_PX
+    PICTURE = PICTURE_PX
+
+
+MeshDetail = Annotated[
+    Detail,
+    Query(description="`preview` has about 2500 vertices, 100 kB as GLB; it shows, it does not measure"),
+]
+PictureEdge = Annotated[
+    PictureSize,
+    Query(description="Edge in px. The smaller picture is drawn with its stone, and comes at once"),
+]
 Asked = Annotated[FileRequest, Depends(file_request)]
 AskedView = Annotated[FileRequest, Depends(view_request)]
 
 
 @router.get("/{particle_id}/mesh", response_class=Response, responses={**MESH, **problem_responses(406)})
-async def mesh(asked: Asked) -> Response:
+async def mesh(asked: Asked, detail: MeshDetail = Detail.FULL) -> Response:
     """Get the mesh in the format that `Accept` prefers: PLY or STL in mm with z up, or GLB in metres with y up.
 
     Where `[body] texture` made them, PLY and GLB have the stone's grey as colours of the vertices.
     """
-    return await asked.mesh(negotiated(asked.request, MEDIA_TYPES, "a mesh"))
+    return await asked.mesh(negotiated(asked.request, MEDIA_TYPES, "a mesh"), detail)
 
 
 @router.get("/{particle_id}/mesh.{mesh_format}", response_class=Response, responses=MESH)
-async def mesh_file(asked: Asked, mesh_format: Annotated[MeshFormat, Depends(format_of)]) -> Response:
+async def mesh_file(
+    asked: Asked,
+    mesh_format: Annotated[MeshFormat, Depends(format_of)],
+    detail: MeshDetail = Detail.FULL,
+) -> Response:
     """Download the mesh as a file: PLY or STL in mm with z up, or GLB in metres with y up, by the suffix.
 
     Where `[body] texture` made them, PLY and GLB have the stone's grey as colours of the vertices.
     """
-    return await asked.mesh(mesh_format)
+    return await asked.mesh(mesh_format, detail)
 
 
 @router.get("/{particle_id}/calipers", response_model=Contacts, responses=GONE)
@@ -145,9 +185,10 @@ async def calipers(asked: Asked) -> Response:
 
 
 @router.get("/{particle_id}/preview.png", response_class=Response, responses=IMAGE)
-async def preview(asked: Asked) -> Response:
+async def preview(asked: Asked, size_px: PictureEdge = PictureSize.PICTURE) -> Response:
     """Get a picture of the mesh, in the grey of its vertices if they have any."""
-    return await asked.answer("preview", "image/png", preview_png)
+    name = "preview" if size_px is PictureSize.PICTURE else f"preview-{size_px}"
+    return await asked.answer(name, "image/png", stone_png, int(size_px), kept=kept_preview)
 
 
 @router.get("/{particle_id}/views/{camera}.png", response_class=Response, responses=IMAGE)

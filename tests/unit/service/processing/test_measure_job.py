@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 import trimesh
 from support import rendered
@@ -9,9 +11,18 @@ from support import rendered
 from drivers.files.bundle_file import write_bundle
 from drivers.files.rig_file import write_rig
 from pipeline.particle import BodyParameters, PipelineParameters
+from pipeline.preview import THUMBNAIL_PX
 from service.processing import measure_job
 from service.processing.backgrounds import write_background
-from service.processing.measure_job import MESH, MeasureJob, RigFile, Worker, WorkerContext, measure
+from service.processing.measure_job import (
+    MESH,
+    THUMBNAIL,
+    MeasureJob,
+    RigFile,
+    Worker,
+    WorkerContext,
+    measure,
+)
 from service.processing.segmenters import CLASSICAL, build_segmenter
 from service.results.fields import RUSH
 
@@ -29,7 +40,7 @@ def test_under_a_rush_a_stone_is_neither_refined_nor_textured_unless_texture_is_
 ) -> None:
     parameters = PipelineParameters(body=BodyParameters("photo", texture))
     worker = Worker(
-        context=WorkerContext(parameters=parameters, is_simulated=True),
+        context=WorkerContext(parameters=parameters, is_simulated=True, draws_thumbnails=True),
         segmenter=build_segmenter(CLASSICAL, parameters.segmentation),
     )
     monkeypatch.setattr(measure_job, "_worker", worker)
@@ -51,3 +62,10 @@ def test_under_a_rush_a_stone_is_neither_refined_nor_textured_unless_texture_is_
     assert ("texture" in record.timings_ms) == is_textured
     mesh = trimesh.load_mesh(tmp_path / "out" / MESH, process=False)
     assert (mesh.visual.kind == "vertex") == is_textured
+    thumbnail = tmp_path / "out" / THUMBNAIL
+    assert thumbnail.exists() != is_rushed
+    if not is_rushed:
+        image = cv2.imread(str(thumbnail))
+        assert image is not None
+        assert image.shape == (THUMBNAIL_PX, THUMBNAIL_PX, 3)
+        assert (np.ptp(image[120, 120]) == 0) == is_textured  # grey, as the cameras are
