@@ -95,11 +95,19 @@ def test_it_is_painted_at_once_and_stones_come_onto_it(operator: Watched, replay
     assert min(delays_ms) > -50 and max(delays_ms) < MAX_DELAY_MS  # two clocks of one machine
 
 
-def test_a_stone_has_its_picture_and_words(operator: Watched) -> None:
+def test_a_stone_has_its_picture_and_words_and_leads_to_its_passport(
+    operator: Watched, replay: DaemonProcess
+) -> None:
     picture = operator.page.locator("#newest img").first
     expect(picture).to_be_visible()
     until(operator.page, "() => document.querySelector('#newest img')?.naturalWidth > 100")
-    assert re.fullmatch(r"\w+, \d+\.\d mm", picture.get_attribute("alt") or "")
+    newest = operator.page.locator("#newest a").first
+    newest.hover()  # the stones stay where they are
+    assert re.fullmatch(r"\d+\.\d mm\s+\w+\s*.*", newest.inner_text(), re.DOTALL)
+    name = (newest.get_attribute("href") or "").removeprefix("/stones/")
+    assert replay.get(f"/particles/{name}")["outcome"] == "measured"
+    newest.click()
+    expect(operator.page.locator("#title")).to_contain_text(name)
 
 
 def test_the_verdict_is_one_sentence_and_that_of_the_last_lot_stays(

@@ -6,7 +6,7 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Locator, Page, expect
+from playwright.sync_api import Browser, Locator, Page, Route, expect
 from support.browser import (
     SIZES,
     Watched,
@@ -132,6 +132,25 @@ def test_gauges_are_drawn_and_can_be_put_away(page: Page, replay: DaemonProcess,
     page.locator(".switch.length input").uncheck()
     expect(page.locator(".gauge.length")).to_be_hidden()
     assert picture(canvas) != shown
+
+
+@NEEDS_THREE
+def test_a_body_is_coarse_until_all_of_it_is_asked_for(page: Page, replay: DaemonProcess, stone: str) -> None:
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url) if "mesh.glb" in request.url else None)
+    # these stones are too small to have less: another one is seen at first
+    other = page.request.get(replay.url("/particles/1/mesh.glb"))
+    page.route("**/mesh.glb?detail=preview", lambda route: route.fulfill(response=other))
+    page.goto(address(replay, f"/stones/{stone}"))
+    canvas = page.locator("canvas.body")
+    expect(canvas).to_be_visible()
+    assert [url.rpartition("/")[2] for url in asked] == ["mesh.glb?detail=preview"]
+    coarse = picture(canvas)
+    button = page.get_by_role("button", name="All details of the body")
+    button.click()
+    expect(button).to_be_hidden()
+    assert [url.rpartition("/")[2] for url in asked[1:]] == ["mesh.glb"]
+    assert picture(canvas) != coarse
 
 
 @pytest.mark.parametrize("lack", ["package", "WebGL"])
@@ -340,3 +359,21 @@ def test_all_is_reached_by_keys(page: Page, replay: DaemonProcess, lot: str, sto
     ends = [set(label.partition(" mm:")[0].split(" to ")) for label in steps]
     assert any(each & unmeasured for each in ends)  # of the smallest sieves
     assert ["not measured" in label for label in steps] == [bool(each & unmeasured) for each in ends]
+
+
+def test_a_comparison_says_that_its_lots_are_still_loading(
+    page: Page, replay: DaemonProcess, lot: str
+) -> None:
+    held: list[Route] = []
+
+    def hold(route: Route) -> None:
+        held.append(route)
+
+    page.route("**/api/v1/lots", hold)
+    page.goto(address(replay, "/compare"))
+    choice = page.locator("#a")
+    expect(choice).to_be_visible()
+    expect(choice).to_have_text("The list of lots is loading …")
+    (route,) = held
+    route.continue_()
+    expect(choice).to_contain_text(lot)

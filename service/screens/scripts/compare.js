@@ -3,7 +3,7 @@
 import { get, getText } from "./api.js";
 import { latestOnly } from "./asking.js";
 import { byId, figureCell, html, rowHead, setText, show, svgFromServer, table } from "./dom.js";
-import { showProblem, startPage, titled } from "./header.js";
+import { holdPaint, showProblem, startPage, titled } from "./header.js";
 import { language, number, sieve, word, wordOr } from "./words.js";
 
 const SIDES = ["a", "b"];
@@ -18,7 +18,10 @@ const form = byId("choice");
 const overlayForm = byId("overlay-choice");
 const choiceOf = (of) => new URLSearchParams([...new FormData(of)].filter(([, value]) => value !== ""));
 const chosen = () => choiceOf(form);
-const { items: lots } = await get("/lots").catch(() => ({ items: [] }));
+const listed = get("/lots").catch(() => ({ items: [] }));
+for (const each of ["a", "b", "overlaid"]) fill(byId(each), word("compare.loading"), [], "");
+holdPaint(listed);
+const { items: lots } = await listed;
 for (const each of [form, overlayForm]) each.addEventListener("submit", (event) => event.preventDefault());
 form.addEventListener("change", ({ target }) => {
   if (SIDES.includes(target.name)) form.elements[`${target.name}_algorithm_version`].value = "";

@@ -6,15 +6,29 @@ import { explained } from "./forms.js";
 import { LANGUAGES, language, loadWords, speak, word } from "./words.js";
 
 const SITE = document.title; // names of plant and instrument, and "stonefall"
+const MOST_HELD_MS = 700;
 const THEMES = ["auto", "light", "dark"];
+
+let nAwaited = 0;
+const paint = () => (document.documentElement.dataset.painted ??= "");
+
+/** Hold the first paint until `promise` is settled, or `MOST_HELD_MS` are over: what is painted shall not move then. */
+export function holdPaint(promise) {
+  nAwaited += 1;
+  promise.catch(() => {}).then(() => --nAwaited === 0 && requestAnimationFrame(paint));
+}
 
 /** Put words on the page and what one can choose into its head; every page begins with it. */
 export async function startPage() {
-  await loadWords();
+  await loadWords().catch((error) => {
+    paint();
+    throw error;
+  });
+  setTimeout(paint, MOST_HELD_MS);
   show(byId("tools"), html.span({ id: "who" }), languageButton(), themeButton(), document.fullscreenEnabled && fullScreenButton());
   window.addEventListener("sign-in-needed", () => showBanner("sign-in", word("header.sign-in-needed"), signInLink()));
-  showWho();
-  get("/overview").then(showOrigin).catch(() => {}); // a page that follows the rig calls it again
+  holdPaint(showWho());
+  holdPaint(get("/overview").then(showOrigin)); // a page that follows the rig calls it again
 }
 
 /** Put what the page shows before the name of the site, in the title of its tab. */

@@ -3,7 +3,7 @@
 import { get, post } from "./api.js";
 import { byId, html, show } from "./dom.js";
 import { actionButton } from "./forms.js";
-import { showProblem, startPage, titled } from "./header.js";
+import { holdPaint, showProblem, startPage, titled } from "./header.js";
 import { showEntry } from "./laboratory/entry.js";
 import { sievingsTable } from "./laboratory/sievings.js";
 import { studiesTable } from "./laboratory/studies.js";
@@ -11,15 +11,16 @@ import { word } from "./words.js";
 
 await startPage();
 titled(word("laboratory.title"));
-const { items: lots } = await get("/lots?limit=200").catch((error) => {
-  showProblem(error);
-  return { items: [] };
-});
-const asked = new URLSearchParams(location.search).get("lot");
-if (asked !== null && !lots.some(({ lot }) => lot === asked)) await get(`/lots/${encodeURIComponent(asked)}`).then((lot) => lots.unshift(lot), showProblem);
-if (lots.length === 0) show(byId("entry"), html.p({ class: "note" }, word("laboratory.no-lots")));
-else {
-  showEntry(byId("entry"), byId("reading"), lots, asked ?? lots[0].lot, (lot) => showLot(lot).catch(showProblem));
+let lots = [];
+holdPaint(showLots().catch(showProblem));
+
+/** Show the form with all lots, and what is known of the chosen one. */
+async function showLots() {
+  ({ items: lots } = await get("/lots?limit=200"));
+  const asked = new URLSearchParams(location.search).get("lot");
+  if (asked !== null && !lots.some(({ lot }) => lot === asked)) await get(`/lots/${encodeURIComponent(asked)}`).then((lot) => lots.unshift(lot), showProblem);
+  if (lots.length === 0) show(byId("entry"), html.p({ class: "note" }, word("laboratory.no-lots")));
+  else await showEntry(byId("entry"), byId("reading"), lots, asked ?? lots[0].lot, (lot) => showLot(lot).catch(showProblem));
 }
 
 /** Show the sievings of a lot, and the studies of its product. */

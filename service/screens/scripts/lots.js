@@ -3,7 +3,7 @@
 import { get } from "./api.js";
 import { askWhenNew } from "./asking.js";
 import { byId, html, setText, show } from "./dom.js";
-import { showOrigin, showProblem, startPage, titled } from "./header.js";
+import { holdPaint, showOrigin, showProblem, startPage, titled } from "./header.js";
 import { follow } from "./live.js";
 import { showLots } from "./lots/list.js";
 import { showOpenLot } from "./lots/open_lot.js";
@@ -23,7 +23,9 @@ form.addEventListener("input", renew);
 form.addEventListener("submit", (event) => event.preventDefault());
 byId("more").addEventListener("click", () => list(shown.at(-1).opened_at).catch(showProblem));
 byId("new-product").addEventListener("click", () => editProduct(null, showProducts));
-await showProducts().catch(showProblem);
+const filled = showProducts().catch(showProblem);
+holdPaint(filled);
+await filled;
 const renewWhenNew = askWhenNew(renew);
 follow({
   onOverview(overview) {

@@ -1,6 +1,6 @@
 /** The operator's page: one stream of the rig's state, and what each part of the page makes of it. */
 
-import { showBanner, showOrigin, startPage } from "./header.js";
+import { holdPaint, showBanner, showOrigin, startPage } from "./header.js";
 import { follow } from "./live.js";
 import { showAlarms } from "./operator/alarms.js";
 import { showCameras } from "./operator/cameras.js";
@@ -16,10 +16,13 @@ const PARTS = [showOrigin, showState, showLot, showVerdict, showHistory, showCur
 
 await startPage();
 mountTrends();
-follow({
-  onOverview: (overview) => PARTS.forEach((show) => show(overview)),
+holdPaint(new Promise((shown) => follow({
+  onOverview(overview) {
+    PARTS.forEach((show) => show(overview));
+    shown();
+  },
   onSilence(since) {
     document.body.classList.toggle("stale", since !== null);
     showBanner("connection", since && word("operator.no-connection", { since: time(since) }));
   },
-});
+})));

@@ -49,21 +49,28 @@ function showNumbers(stone) {
 async function showMesh(stone) {
   const path = `${BASE}/particles/${stone.key}`;
   const picture = byId("picture");
+  const full = actionButton("passport.full-detail", async () => {
+    await (await shown).refine(`${path}/mesh.glb`);
+    full.hidden = true;
+  });
   Object.assign(picture, { src: `${path}/preview.png`, alt: word("passport.picture", { id: stone.id }) });
   show(byId("downloads"), ["ply", "stl", "glb"].map((format) =>
     html.a({ class: "button", href: `${path}/mesh.${format}`, download: `${stone.id}.${format}` }, word("passport.download", { format: format.toUpperCase() }))),
-  html.button({ type: "button", onclick: () => print() }, word("passport.print")));
-  const body = await showBody(byId("body"), {
-    mesh: `${path}/mesh.glb`,
+  html.button({ type: "button", onclick: () => print() }, word("passport.print")), full);
+  const shown = showBody(byId("body"), {
+    mesh: `${path}/mesh.glb?detail=preview`,
     preview: `${path}/preview.png`,
     name: word("passport.stone", { id: stone.id }),
     result: stone,
     calipers: get(`/particles/${stone.key}/calipers`).catch(() => null),
   });
-  if (body === null || body.gauges.size === 0) return;
+  const body = await shown;
+  full.hidden = body === null;
+  if (body === null) return;
+  window.addEventListener("pagehide", ({ persisted }) => persisted || body.dispose());
+  if (body.gauges.size === 0) return;
   byId("gauges").append(...[...body.gauges.keys()].map((name) => gaugeSwitch(body, name)));
   byId("gauges").hidden = false;
-  window.addEventListener("pagehide", ({ persisted }) => persisted || body.dispose());
 }
 
 /** Return a switch for one gauge; those of the Ferets lie near others, and are off at first. */

@@ -14,7 +14,8 @@ const signIn = async ({ token }) => { // it goes into no address
   location.assign(nextAddress());
 };
 onSubmit(byId("form"), signIn, byId("problem"), refused);
-byId("token").focus();
+const { documentElement: root } = document;
+new MutationObserver(() => byId("token").focus()).observe(root, { attributeFilter: ["data-painted"] });
 
 /** Return the page to go on to: one of this host alone, whatever the address says. */
 function nextAddress() {

@@ -10,7 +10,7 @@ import { number, time, word } from "./words.js";
 export function tile(stone, toggle) {
   const still = html.span({ class: "still" });
   if (stone.sieve_size_mm !== null) {
-    const picture = html.img({ src: `${BASE}/particles/${stone.id}/preview.png`, alt: "", loading: "lazy", fetchpriority: "low", width: 480, height: 480 });
+    const picture = html.img({ src: `${BASE}/particles/${stone.seq}/preview.png?size_px=240`, alt: "", loading: "lazy", fetchpriority: "low", width: 240, height: 240 });
     picture.addEventListener("error", () => still.replaceChildren(word("gallery.no-picture")));
     still.append(picture);
   } else still.append(stone.reason ? word(`operator.reason-${stone.reason}`) : "");

@@ -16,7 +16,7 @@ const TURN_OF_A_KEY = Math.PI / 18;
 
 /**
  * Show the body of a stone in `place` and return it, or null where a picture had to do; `stone` has its name, its
- * result, the addresses of mesh and preview, and a promise of what `/particles/{id}/calipers` returns.
+ * result, the addresses of a small mesh and of a picture, and a promise of what `/particles/{id}/calipers` returns.
  */
 export async function showBody(place, stone) {
   let why = "viewer.no-package";
@@ -68,15 +68,7 @@ class Body {
   }
 
   async load() {
-    const [response, calipers] = await Promise.all([fetch(this.stone.mesh), this.stone.calipers]);
-    if (!response.ok) throw new Error(`${this.stone.mesh}: ${response.status}`);
-    const { scene } = await new this.GLTFLoader().parseAsync(await response.arrayBuffer(), "");
-    this.model = scene.getObjectByProperty("isMesh", true);
-    const { geometry } = this.model;
-    geometry.applyMatrix4(this.model.matrixWorld); // as the file places it; then from metres with y up to mm with z up
-    geometry.scale(MM_PER_M, MM_PER_M, MM_PER_M).rotateX(Math.PI / 2);
-    geometry.computeVertexNormals();
-    geometry.computeBoundingSphere();
+    const [geometry, calipers] = await Promise.all([this.geometryAt(this.stone.mesh), this.stone.calipers]);
     const isTextured = geometry.hasAttribute("color");
     const material = new this.three.MeshLambertMaterial({ vertexColors: isTextured });
     if (!isTextured) material.color.setRGB(...STONE_RGB, this.three.SRGBColorSpace);
@@ -92,6 +84,27 @@ class Body {
     this.listen();
     this.fit();
     return this;
+  }
+
+  /** Return the body in a GLB file, in mm with z up. */
+  async geometryAt(address) {
+    const response = await fetch(address);
+    if (!response.ok) throw new Error(`${address}: ${response.status}`);
+    const { scene } = await new this.GLTFLoader().parseAsync(await response.arrayBuffer(), "");
+    const { geometry, matrixWorld } = scene.getObjectByProperty("isMesh", true);
+    geometry.applyMatrix4(matrixWorld); // as the file places it; then from metres with y up to mm with z up
+    geometry.scale(MM_PER_M, MM_PER_M, MM_PER_M).rotateX(Math.PI / 2);
+    geometry.computeVertexNormals();
+    geometry.computeBoundingSphere();
+    return geometry;
+  }
+
+  /** Show the mesh at this address in the place of the one that is shown; gauges and view stay. */
+  async refine(address) {
+    const geometry = await this.geometryAt(address);
+    this.model.geometry.dispose();
+    this.model.geometry = geometry;
+    this.ask();
   }
 
   /** Show or hide one gauge. */

@@ -12,7 +12,7 @@ const MOST_LOST_PERCENT = 1;
 
 /**
  * Show the form in `place`, and what was read in `reading`; `onLot` is called with the lot that is chosen, and again after
- * a sieving was stored.
+ * a sieving was stored; what it returns at first is returned.
  */
 export function showEntry(place, reading, lots, chosen, onLot) {
   const lot = html.select({ name: "lot" }, lots.map(({ lot, product }) => html.option({ value: lot, selected: lot === chosen }, `${lot} (${product})`)));
@@ -32,7 +32,7 @@ export function showEntry(place, reading, lots, chosen, onLot) {
     onLot(lot.value);
   });
   show(place, form);
-  onLot(chosen);
+  return onLot(chosen);
 
   async function read(values) {
     show(reading);

@@ -1,17 +1,22 @@
-/** The last stones, as they come: the newest falls in on the left. */
+/** The last stones, as they come, each the way to its passport: the newest falls in on the left. */
 
 import { BASE } from "../api.js";
 import { byId, html } from "../dom.js";
 import { number, time, word } from "../words.js";
 
 const MAX_SHOWN = 12;
-const PICTURE_PAUSE_MS = 250;
+const HOLD_MS = 3000;
 const isShown = new Set();
 const waiting = []; // cards whose picture is not loaded yet, the newest last
-let isLoading = false;
+let isLoading = false, heldUntil = 0;
+
+/** Keep the stones where they are for a moment: somebody is about to press one. */
+const hold = () => (heldUntil = Date.now() + HOLD_MS);
+for (const each of ["pointermove", "pointerdown", "focusin"]) byId("newest").addEventListener(each, hold);
 
 /** Show the stones that are new, the rest stays where it is. */
 export function showStones({ newest }) {
+  if (Date.now() < heldUntil) return;
   const list = byId("newest");
   const isFirst = isShown.size === 0;
   for (const stone of [...newest].sort((a, b) => a.seq - b.seq)) {
@@ -32,28 +37,29 @@ function card(stone, isFirst) {
   const quality = isMeasured && stone.quality !== "good" ? word(`operator.quality-${stone.quality}`) : "";
   const picture = html.div({ class: "picture" });
   const made = html.li({ "data-seq": stone.seq, class: isFirst ? stone.outcome : `${stone.outcome} falling`, title: time(stone.captured_at) },
-    picture,
-    html.b(size),
-    html.span(kind),
-    html.span({ class: "quality" }, quality),
+    html.a({ href: `/stones/${stone.id}` },
+      picture,
+      html.b(size),
+      html.span(kind),
+      html.span({ class: "quality" }, quality),
+    ),
   );
   if (stone.has_mesh) {
-    waiting.push({ picture, src: `${BASE}/particles/${stone.seq}/preview.png`, alt: `${kind}, ${size}` });
+    waiting.push({ picture, src: `${BASE}/particles/${stone.seq}/preview.png?size_px=240` });
     loadPictures();
   }
   return made;
 }
 
-/** Load one picture at a time, the newest first, and none of a card that is gone: twenty pages ask one process. */
+/** Load one picture at a time, the newest first, and none of a card that is gone: not all came with their stone. */
 async function loadPictures() {
   if (isLoading) return;
   isLoading = true;
   await null; // the card is put on the page first
   while (waiting.length > 0) {
-    const { picture, src, alt } = waiting.pop();
+    const { picture, src } = waiting.pop();
     if (!picture.isConnected) continue;
-    await new Promise((done) => picture.replaceChildren(html.img({ src, alt, onload: done, onerror: done })));
-    await new Promise((done) => setTimeout(done, PICTURE_PAUSE_MS));
+    await new Promise((done) => picture.replaceChildren(html.img({ src, alt: "", onload: done, onerror: done })));
   }
   isLoading = false;
 }
