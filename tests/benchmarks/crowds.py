@@ -1,6 +1,6 @@
 """Clients that ask a daemon in a closed loop: the crowds of `readers.py`, which runs it with the lowest priority.
 
-Run: .venv/bin/python tests/benchmarks/crowds.py polls|pages|cheap|lots|rude|viewers URL SECONDS
+Run: .venv/bin/python tests/benchmarks/crowds.py polls|pages|cheap|lots|rude|viewers|browsers URL SECONDS
 """
 
 import asyncio
@@ -9,19 +9,34 @@ import sys
 import time
 from collections import defaultdict
 from collections.abc import AsyncIterator, Awaitable, Callable, Generator
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from itertools import count
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
+from playwright.async_api import Page, async_playwright
 from viewers import Viewer
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.browser import EXECUTABLE, FLAGS, SIZES
 
 N_WITH_MESH = 1000
 """Results in the store before the run that have a mesh: a page of the greatest size."""
-CLIENTS = {"polls": 200, "pages": 4, "cheap": 16, "lots": 1, "rude": 71, "viewers": 20}
+CLIENTS = {"polls": 200, "pages": 4, "cheap": 16, "lots": 1, "rude": 71, "viewers": 20, "browsers": 205}
 """Number of clients of each crowd."""
 N_STREAMS, N_STALLED = 20, 50
 """Clients among the rude ones that read a stream, and that do not read."""
+N_PAGES = 5
+"""Operator's pages, tabs of one headless Chromium, that are open beside the long polls of `browsers`."""
+OWN_ADDRESS = "127.0.0.2"
+"""Address of all clients but browsers, as one address may not have all connections."""
+LOOK_S = 0.5
+TILES = """() => {
+  const tiles = [...document.querySelectorAll("#newest li.measured")];
+  return [tiles.length, tiles.filter((tile) => tile.querySelector("img")?.naturalWidth > 0).length];
+}"""
+FIRST_PAINT_MS = "performance.getEntriesByName('first-contentful-paint')[0]?.startTime"
 BODY_BYTES = 100_000_000
 PIECE = b" " * 65_536
 Questions = Generator[str, bytes, None]
@@ -44,12 +59,12 @@ async def be(crowd: str, url: str, seconds: float) -> None:
                 if N_STREAMS <= number < N_STREAMS + N_STALLED:
                     path, kind = f"{address.path}/results?after=0&limit=1000", "stalled"
                     writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
-                    RUDE[f"{kind} begun"] += 1
+                    COUNTED[f"{kind} begun"] += 1
                     await asyncio.sleep(seconds)
                 elif number < N_STREAMS:
                     writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
                     while piece := await reader.read(65_536):
-                        RUDE["events"] += piece.count(b"\nid: ") + piece.startswith(b"id: ")
+                        COUNTED["events"] += piece.count(b"\nid: ") + piece.startswith(b"id: ")
                         n_bytes += len(piece)
                 else:
                     head = f"POST {address.path}/lots HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json"
@@ -60,14 +75,16 @@ async def be(crowd: str, url: str, seconds: float) -> None:
             except OSError:  # closed, as it must be
                 pass
             finally:
-                RUDE[f"{kind} ended"] += 1
+                COUNTED[f"{kind} ended"] += 1
                 writer.close()
             await asyncio.sleep(0.1)
 
     @asynccontextmanager
     async def asking() -> AsyncIterator[Callable[[str], Awaitable[bytes]]]:
         """Connect, and return what asks and counts."""
-        reader, writer = await asyncio.open_connection(urlsplit(url).hostname, urlsplit(url).port)
+        reader, writer = await asyncio.open_connection(
+            urlsplit(url).hostname, urlsplit(url).port, local_addr=(OWN_ADDRESS, 0)
+        )
 
         async def answer(question: str) -> bytes:
             nonlocal n_bytes, longest_s
@@ -94,9 +111,16 @@ async def be(crowd: str, url: str, seconds: float) -> None:
         async with asking() as answer:
             await Viewer(url, answer, TIMES_S).watch()
 
-    kinds = {"rude": rude, "viewers": viewer}
+    async def operator(number: int) -> None:
+        """Look at the operator's page, of which the first `N_PAGES` numbers have one; the others ask for results."""
+        await (look(pages[number], url) if number < N_PAGES else client(number))
+
+    kinds = {"rude": rude, "viewers": viewer, "browsers": operator}
+    pages: list[Page] = []
     try:
-        async with asyncio.timeout(seconds), asyncio.TaskGroup() as clients:
+        async with asyncio.timeout(seconds), AsyncExitStack() as open_browser, asyncio.TaskGroup() as clients:
+            if crowd == "browsers":
+                pages += await opened_pages(open_browser)
             for number in range(CLIENTS[crowd]):
                 clients.create_task(kinds.get(crowd, client)(number))
     except TimeoutError:
@@ -104,7 +128,7 @@ async def be(crowd: str, url: str, seconds: float) -> None:
     counts = ", ".join(
         [
             *(f"{n} x {status}" for status, n in sorted(statuses.items())),
-            *(f"{n} {what}" for what, n in RUDE.items()),
+            *(f"{n} {what}" for what, n in COUNTED.items()),
         ]
     )
     told = "".join(
@@ -112,6 +136,26 @@ async def be(crowd: str, url: str, seconds: float) -> None:
         for what, took_s in TIMES_S.items()
     )
     sys.stdout.write(f"{counts}, {n_bytes / 1e6:.0f} MB, within {longest_s:.1f} s{told}\n")
+
+
+async def opened_pages(open_browser: AsyncExitStack) -> list[Page]:
+    """Return tabs of one browser, which is closed with `open_browser`."""
+    playwright = await open_browser.enter_async_context(async_playwright())
+    browser = await playwright.chromium.launch(executable_path=EXECUTABLE, args=FLAGS)
+    open_browser.push_async_callback(browser.close)
+    return [await browser.new_page(viewport=SIZES["desktop"]) for _ in range(N_PAGES)]
+
+
+async def look(page: Page, url: str) -> None:
+    """Look at the operator's page again and again, and count the newest stones with their picture and all of them."""
+    await page.goto("{0.scheme}://{0.netloc}/".format(urlsplit(url)))
+    await page.wait_for_selector("#newest li")  # what was painted first was painted before
+    TIMES_S["first paint"].append(await page.evaluate(FIRST_PAINT_MS) / 1000)
+    while True:
+        await asyncio.sleep(LOOK_S)
+        n_tiles, n_pictures = await page.evaluate(TILES)
+        COUNTED["tiles"] += n_tiles
+        COUNTED["tiles with picture"] += n_pictures
 
 
 async def ask(
@@ -164,12 +208,18 @@ def lots(number: int) -> Questions:
         TIMES_S["as PDF"].append(time.monotonic() - began_s)
 
 
-QUESTIONS = {"polls": long_polls, "pages": big_pages, "cheap": cheap_answers, "lots": lots}
+QUESTIONS = {
+    "polls": long_polls,
+    "pages": big_pages,
+    "cheap": cheap_answers,
+    "lots": lots,
+    "browsers": long_polls,
+}
 """What a client of each crowd asks for, one after the other."""
 TIMES_S: dict[str, list[float]] = defaultdict(list)
 """What a client noted."""
-RUDE: dict[str, int] = defaultdict(int)
-"""What became of the connections of rude clients."""
+COUNTED: dict[str, int] = defaultdict(int)
+"""What clients counted: what became of connections, and what a page had."""
 
 
 if __name__ == "__main__":

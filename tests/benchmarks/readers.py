@@ -6,11 +6,13 @@ Run: .venv/bin/python tests/benchmarks/readers.py [--seconds 30] [--rate 4] [--s
 The crowds: 200 long polls that ask again at once; 4 clients in a closed loop, each with a page of 1000 results and five
 previews in turn; as `cheap`, 16 clients in a closed loop with single results and a kept preview; and, as `lots`, one
 client that opens a lot, assigns all stones of before to it, closes it and has it reported, then opens and closes
-others and has the first reported again. As `rude` 20 clients read the stream of results, 50 ask for a big page and do
-not read it, and one sends bodies of 100 MB. They run on this machine, with the lowest priority, because a plant's
-clients are other machines. The store holds `--before` stones before.
+others and has the first reported again. As `browsers` five tabs of Chromium show the operator's page beside 200 long
+polls; first paint and the newest stones with their picture are among the answers. As `rude` 20 clients read the stream
+of results, 50 ask for a big page and do not read it, and one sends bodies of 100 MB. They run on this machine, with the
+lowest priority, because a plant's clients are other machines. The store holds `--before` stones before, and all the
+time one client asks for the gradation of a lot of them, twice a second.
 Times are from the exposure to the durable result. Exits with 1 if a stone is lost, or if the 99th percentile beside a
-crowd is more than 1.5 times that of the calm phase before.
+crowd is more than 1.5 times that of the calm phase before; beside `browsers` also if that of the gradation is.
 """
 
 import argparse
@@ -53,6 +55,7 @@ from service.store import open_store
 SEED = 12
 CROWDS = Path(__file__).with_name("crowds.py")
 MAX_RATIO = 1.5
+LOT, GRADATION_PAUSE_S = "before", 0.5
 WARM_UP_S = 10.0
 SETTLE_S = 3.0
 """Between two phases, once no stone waits any more; stones of that time are in none."""
@@ -65,6 +68,7 @@ class Phase:
     name: str
     latency_ms: list[float]
     lost: int
+    gradation_ms: list[float]
     answers: str
     cores: dict[str, float]
     memory_mb: float  # daemon and its processes together at the end (PSS)
@@ -112,6 +116,7 @@ def run(daemon: DaemonProcess, due_s: np.ndarray, arguments: Any) -> list[Phase]
     asyncio.run(fill(state, arguments.before))
     daemon.heard.clear()
     watched, is_over = Watched(), threading.Event()
+    gradations: list[tuple[float, float]] = []
     spans, cores, answers, memory_mb = [], [], [], []
     with daemon:
         daemon.hear("READY=1")
@@ -122,6 +127,9 @@ def run(daemon: DaemonProcess, due_s: np.ndarray, arguments: Any) -> list[Phase]
             ).fetchone()
         watching = threading.Thread(target=watched.look, args=(state / "results.sqlite", is_over))
         watching.start()
+        put_into_lot(daemon)
+        asking = threading.Thread(target=ask_gradations, args=(daemon, gradations, is_over))
+        asking.start()
         try:
             time.sleep(WARM_UP_S)
             for name in arguments.phases.split(","):
@@ -139,6 +147,7 @@ def run(daemon: DaemonProcess, due_s: np.ndarray, arguments: Any) -> list[Phase]
             time.sleep(10 * LOOK_S)
             is_over.set()
             watching.join()
+            asking.join()
     with closing(sqlite3.connect(state / "results.sqlite")) as connection:
         rows = connection.execute(
             "SELECT seq, trigger, record ->> 'outcome' FROM results WHERE session = ? ORDER BY seq",
@@ -157,6 +166,7 @@ def run(daemon: DaemonProcess, due_s: np.ndarray, arguments: Any) -> list[Phase]
                 for begun_s, ended_s, outcome in stones
                 if begin_s <= begun_s < end_s and outcome != "lost"
             ],
+            gradation_ms=[1000 * took_s for at_s, took_s in gradations if begin_s <= at_s < end_s],
             lost=sum(outcome == "lost" and begin_s <= begun_s < end_s for begun_s, _, outcome in stones),
             answers=said,
             cores=busy,
@@ -199,6 +209,21 @@ def trigger_times_s(watched: Watched, n_before: int, due_s: np.ndarray) -> np.nd
     return np.asarray(np.minimum.accumulate((seen_s - schedule_s)[::-1])[::-1] + schedule_s)
 
 
+def put_into_lot(daemon: DaemonProcess) -> None:
+    daemon.put("/products/before", {"title": "before", "density_kg_m3": 2700})
+    daemon.post("/lots", {"lot": LOT, "product": "before"})
+    daemon.post(f"/lots/{LOT}/assign", {"since": "2000-01-01T00:00:00Z", "until": "2100-01-01T00:00:00Z"})
+    daemon.post(f"/lots/{LOT}/close", {})
+
+
+def ask_gradations(daemon: DaemonProcess, times: list[tuple[float, float]], is_over: threading.Event) -> None:
+    """Note when each gradation was asked for, and how long it took, s."""
+    while not is_over.wait(GRADATION_PAUSE_S):
+        began_s = time.monotonic()
+        daemon.get(f"/lots/{LOT}/gradation")
+        times.append((began_s, time.monotonic() - began_s))
+
+
 def crowd_of(name: str, daemon: DaemonProcess, seconds: float) -> str:
     """Have the crowd ask for so long; return what it got."""
     if name not in CLIENTS:
@@ -225,16 +250,35 @@ def cores_between(
 
 def report(phases: list[Phase], arguments: Any) -> int:
     table = Table(
-        *("", "stones", "lost", "p50 ms", "p95", "p99", "p99 by calm", "answers", "cores", "MB"),
+        *(
+            "",
+            "stones",
+            "lost",
+            "p50 ms",
+            "p95",
+            "p99",
+            "p99 by calm",
+            "gradation p50 ms",
+            "gradation p99",
+            "gradation by calm",
+            "answers",
+            "cores",
+            "MB",
+        ),
         title=f"{arguments.rate:g} stones a second of {arguments.size_mm:g} mm, {arguments.seconds:g} s each;"
         f" load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
     )
-    calm_ms, problems = float("nan"), []
+    calm_ms, calm_gradation_ms, problems = float("nan"), float("nan"), []
     for phase in phases:
         p50, p95, p99 = np.quantile(phase.latency_ms or [np.nan], [0.5, 0.95, 0.99])
-        calm_ms = p99 if phase.name == "calm" else calm_ms
+        gradation_p50, gradation_p99 = np.quantile(phase.gradation_ms or [np.nan], [0.5, 0.99])
+        if phase.name == "calm":
+            calm_ms, calm_gradation_ms = p99, gradation_p99
         if phase.lost or p99 > MAX_RATIO * calm_ms:
             problems.append(f"{phase.name}: {phase.lost} lost, p99 {p99 / calm_ms:.2f} times as long")
+        slower = gradation_p99 / calm_gradation_ms
+        if phase.name == "browsers" and slower > MAX_RATIO:
+            problems.append(f"{phase.name}: gradations, p99 {slower:.2f} times as long")
         busy = ", ".join(f"{name} {used:.2f}" for name, used in phase.cores.items() if used >= 0.01)
         figures = (f"{p50:.0f}", f"{p95:.0f}", f"{p99:.0f}", f"{p99 / calm_ms:.2f}")
         n_stones = len(phase.latency_ms) + phase.lost
@@ -243,6 +287,7 @@ def report(phases: list[Phase], arguments: Any) -> int:
             str(n_stones),
             str(phase.lost),
             *figures,
+            *(f"{gradation_p50:.0f}", f"{gradation_p99:.0f}", f"{slower:.2f}"),
             phase.answers,
             busy,
             f"{phase.memory_mb:.0f}",

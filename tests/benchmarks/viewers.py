@@ -7,8 +7,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 from urllib.parse import quote, urlsplit
 
-SHEET_S, TRENDS_S, PICTURE_PAUSE_S = 5.0, 60.0, 0.25
-"""How often the page asks for the contact sheet and a trend, and how long it waits after a stone's picture."""
+SHEET_S, TRENDS_S = 5.0, 60.0
+"""How often the page asks for the contact sheet and a trend."""
 MAX_STONES = 12
 
 
@@ -24,7 +24,7 @@ class Viewer:
         self._overview: dict[str, Any] = {}
         self._pictures: list[int] = []  # of stones whose picture is not asked for yet, the newest last
         self._known = 0  # the newest stone that was on the page
-        self._due_s = {"sheet": 0.0, "trends": 0.0, "picture": 0.0}
+        self._due_s = {"sheet": 0.0, "trends": 0.0}
         self._shown: dict[str, Any] = {}
 
     async def watch(self) -> None:
@@ -68,8 +68,8 @@ class Viewer:
             questions.append("/cameras/contact-sheet.jpg")
         if self._is_due("trends", TRENDS_S, now_s):
             questions += ["/diary/changes?hours=1", "/trends/d50.svg?hours=1"]
-        if self._pictures and self._is_due("picture", PICTURE_PAUSE_S, now_s):
-            questions.append(f"/particles/{self._pictures.pop()}/preview.png")
+        if self._pictures:
+            questions.append(f"/particles/{self._pictures.pop()}/preview.png?size_px=240")
         return questions
 
     def _is_new(self, what: str, value: Any) -> bool:
