@@ -35,5 +35,7 @@ class LotCompletion(LotOutcome):
         description="Revision of the lot that this is of; of an older one while it is made anew"
     )
     at: Time = Field(description="When it was completed, RFC 3339 UTC")
-    report: str = Field(description="Address of the issued report, a PDF that stays as it is")
+    report: str = Field(
+        description="Path of the issued report, a PDF that stays as it is; below `[api] path_prefix`"
+    )
     report_sha256: str = Field(description="SHA-256 of this report, in hexadecimal digits")

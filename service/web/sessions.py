@@ -160,7 +160,12 @@ def is_own_origin(request: Request, origin: str, settings: ApiSettings) -> bool:
 
 
 def _name(request: Request) -> str:
-    return NAME_OVER_TLS if _is_over_tls(request) else NAME
+    """Return the name of the cookie: of several instruments below one host each has its own.
+
+    Its `Path` cannot tell them apart, because `__Host-` demands `/`.
+    """
+    prefix: str = request.app.state.context.settings.path_prefix
+    return (NAME_OVER_TLS if _is_over_tls(request) else NAME) + prefix.replace("/", "-")
 
 
 def _is_over_tls(request: Request) -> bool:

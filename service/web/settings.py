@@ -8,6 +8,14 @@ from ipaddress import ip_network
 from service.base.addresses import address_of, is_host, is_loopback
 from service.base.schema import Live, require_ranges
 
+PREFIX = re.compile(r"(/[A-Za-z0-9_-]+)*")
+"""Path at which a proxy may have the service; empty without one."""
+OWN_PATHS = (
+    *("api", "compare", "gallery", "laboratory", "lots"),
+    *("screens", "setup", "sign-in", "stones", "verify"),
+)
+"""First parts of our own paths, which a prefix would hide."""
+
 
 class Scope(StrEnum):
     """Permission that a key can have. None includes another."""
@@ -50,6 +58,7 @@ class ApiSettings:
     allowed_hosts: tuple[str, ...] = ()  # further names by which clients ask for this service
     keys: Live[tuple[ApiKey, ...]] = ()  # more of them are made by `stonefall keys`
     without_keys: WithoutKeys = WithoutKeys.NOTHING  # only this machine may write, whatever stands here
+    path_prefix: str = ""  # path at which a proxy has this service, such as /stonefall
     trusted_proxies: tuple[str, ...] = ()  # addresses and networks whose X-Forwarded-For says who asks
     loopback_reads_without_key: bool = False  # requests from this machine may read, although there are keys
     max_body_bytes: int = 1_000_000
@@ -60,6 +69,10 @@ class ApiSettings:
         for name in self.allowed_hosts:
             if not is_host(name):
                 raise ValueError(f"allowed_hosts: must be names or addresses without a port, not {name!r}")
+        first = self.path_prefix[1:].partition("/")[0]
+        if not PREFIX.fullmatch(self.path_prefix) or first in OWN_PATHS:
+            wanted = "a path such as /stonefall, without a slash at its end, and none of our own"
+            raise ValueError(f"path_prefix must be {wanted}, not {self.path_prefix!r}")
         for proxy in self.trusted_proxies:
             try:
                 ip_network(proxy)

@@ -1,9 +1,11 @@
-"""The target of a request may be a whole address, as to a proxy: it is answered as its path (RFC 9112, 3.2.2)."""
+"""The target of a request: a path, below the prefix of a proxy or not, or a whole address (RFC 9112, 3.2.2)."""
 
 import re
 from urllib.parse import unquote
 
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.datastructures import MutableHeaders
+from starlette.responses import RedirectResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 ABSOLUTE = re.compile(rb"https?://(?P<netloc>[^/@]+)(?P<path>/.*)?", re.IGNORECASE)
 
@@ -22,5 +24,29 @@ def answering_whole_addresses(app: ASGIApp) -> ASGIApp:
                 "headers": [(b"host", target["netloc"]), *others],
             }
         await app(scope, receive, send)
+
+    return answer
+
+
+def answering_below(app: ASGIApp, prefix: str) -> ASGIApp:
+    """Ask `app` for paths below the prefix of a proxy, which may strip it, and put it before each `Location`."""
+
+    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+        path: str = scope.get("path", "")
+        if path == prefix:  # what a page names is relative to its folder
+            await RedirectResponse(f"{prefix}/", 308)(scope, receive, send)
+            return
+        if path.startswith(f"{prefix}/"):
+            raw_path = scope["raw_path"].removeprefix(prefix.encode())
+            scope = {**scope, "path": path.removeprefix(prefix), "raw_path": raw_path}
+
+        async def send_with_prefix(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                if headers.get("location", "").startswith("/"):
+                    headers["location"] = prefix + headers["location"]
+            await send(message)
+
+        await app(scope, receive, send_with_prefix)
 
     return answer

@@ -3,6 +3,7 @@
 import gzip
 import posixpath
 import re
+from urllib.parse import urljoin, urlsplit
 
 import httpx
 import pytest
@@ -28,14 +29,23 @@ async def test_a_page_is_asked_for_again_and_allows_this_host_alone(
     assert not re.search(r"https?://|\son\w+=|<script>|\{\{", page.text)
 
 
+@pytest.mark.parametrize("prefix", ["", "/stonefall", "/plant/rig-2"])
 @pytest.mark.parametrize("address", PAGES)
-async def test_all_that_a_page_names_is_there_for_ever(client: httpx.AsyncClient, address: str) -> None:
+async def test_all_that_a_page_names_is_there_for_ever(
+    client: httpx.AsyncClient, address: str, prefix: str
+) -> None:
+    """Whatever a proxy has in front of the path of a page, its names lead below that."""
     page = await client.get(HOST + address)
-    names = re.findall(rf'(?:src|href)="({ROOT}/[^"]+)"', page.text)
-    assert names
-    for name in names:
+    names = re.findall(r'(?:src|href)="(?!#|data:)([^"]+)"', page.text)
+    paths = [urlsplit(urljoin(HOST + prefix + address, name)).path for name in names]
+    assert all(path.startswith(f"{prefix}/") for path in paths)
+    own = [path.removeprefix(prefix) for path in paths]
+    assert {"/", "/lots", "/api/v1/docs"} <= set(own)
+    for name in own:
         found = await client.get(HOST + name)
         assert found.status_code == 200, name
+        if not name.startswith(ROOT):
+            continue
         assert found.headers["Cache-Control"] == "public, max-age=31536000, immutable"
         assert found.headers["X-Content-Type-Options"] == "nosniff"
 

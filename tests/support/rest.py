@@ -185,9 +185,9 @@ class ReadingThread:
 _built = cache(app.build_routes)
 
 
-def _routes() -> FastAPI:
+def _routes(path_prefix: str = "") -> FastAPI:
     """Return an application with the routes that all of this process share; they are not to be added to."""
-    own = copy(_built())
+    own = copy(_built(path_prefix))
     own.state, own.user_middleware, own.middleware_stack = State(), [], None
     return own
 

@@ -40,7 +40,7 @@ from service.web.request_ids import with_request_ids
 from service.web.routes import screens
 from service.web.sessions import Sessions
 from service.web.settings import ApiSettings
-from service.web.targets import answering_whole_addresses
+from service.web.targets import answering_below, answering_whole_addresses
 from service.web.version import API_VERSION, BASE
 
 ROOMS = (
@@ -71,7 +71,7 @@ def create_app(
 
     What takes long is made by `reading`, or by `drawing` if it is a picture or a mesh of a stone.
     """
-    app = build_routes()
+    app = build_routes(settings.path_prefix)
     app.state.context = ApiContext(
         store=store,
         control=control,
@@ -91,18 +91,25 @@ def create_app(
     app.add_middleware(in_pieces)
     app.add_middleware(answering_heads)
     app.add_middleware(with_request_ids)  # every answer has one
+    if settings.path_prefix:
+        app.add_middleware(answering_below, prefix=settings.path_prefix)
     app.add_middleware(answering_whole_addresses)  # the outermost: all others see a path
     return app
 
 
-def build_routes() -> FastAPI:
-    """Build the application without store and daemon: enough to generate the OpenAPI document."""
+def build_routes(path_prefix: str = "") -> FastAPI:
+    """Build the application without store and daemon: enough to generate the OpenAPI document.
+
+    `path_prefix` is where a proxy has it, which the document names as its server.
+    """
     app = FastAPI(
         title="stonefall",
         version=API_VERSION,
         summary="The shape of every stone that leaves the crusher",
         description=DESCRIPTION,
-        servers=SERVERS,
+        servers=[{"url": path_prefix, "description": "The instrument behind its proxy"}]
+        if path_prefix
+        else SERVERS,
         openapi_tags=[{"name": tag, "description": text} for tag, text in TAGS.items()],
         openapi_url=f"{BASE}/openapi.json",
         docs_url=None,  # FastAPI's own pages load scripts from a public network: dead in a plant

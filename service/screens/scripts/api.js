@@ -1,6 +1,8 @@
 /** Requests to the REST interface of this host. */
 
-export const BASE = "/api/v1";
+/** Path below which this host serves pages and interface, as the page came: `/`, or what a proxy has in front of it. */
+export const ROOT = new URL("../../../", import.meta.url).pathname;
+export const BASE = `${ROOT}api/v1`;
 
 /** A refusal, with the fields of RFC 9457: `type`, `title`, `status`, `detail`, and those of its type. */
 export class Problem extends Error {

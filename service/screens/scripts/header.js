@@ -1,6 +1,6 @@
 /** The head of every page: language, theme, full screen, who is signed in, and what must not be missed. */
 
-import { get, remove } from "./api.js";
+import { ROOT, get, remove } from "./api.js";
 import { byId, html, setText, show } from "./dom.js";
 import { explained } from "./forms.js";
 import { LANGUAGES, language, loadWords, speak, word } from "./words.js";
@@ -60,7 +60,7 @@ async function showWho() {
 }
 
 const signInLink = () =>
-  html.a({ class: "button", href: `/sign-in?next=${encodeURIComponent(location.pathname + location.search)}` }, word("header.sign-in"));
+  html.a({ class: "button", href: `${ROOT}sign-in?next=${encodeURIComponent(location.pathname + location.search)}` }, word("header.sign-in"));
 
 const button = (text, onclick, attributes = {}) => html.button({ type: "button", onclick, ...attributes }, text);
 

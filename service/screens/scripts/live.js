@@ -60,6 +60,6 @@ export function follow({ onOverview, onSilence }) {
 /** Load the page again after an upgrade: its address of this very file is then another one. */
 async function reloadIfNewer() {
   const page = await (await fetch(location.pathname, { cache: "no-cache" })).text();
-  const version = new URL(import.meta.url).pathname.split("/")[2];
+  const version = new URL(import.meta.url).pathname.split("/").at(-3);
   if (!page.includes(version)) location.reload();
 }

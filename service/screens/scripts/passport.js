@@ -1,6 +1,6 @@
 /** The passport of one stone: its body, its views, its numbers, and what became of it. */
 
-import { BASE, get, put } from "./api.js";
+import { BASE, ROOT, get, put } from "./api.js";
 import { byId, described, html, setText, show, table } from "./dom.js";
 import { actionButton, onSubmit } from "./forms.js";
 import { showProblem, startPage, titled } from "./header.js";
@@ -22,7 +22,7 @@ get(`/particles/${encodeURIComponent(key)}`).then((stone) => showStone({ ...ston
 async function showStone(stone) {
   titled(stone.id);
   setText(byId("title"), word("passport.stone", { id: stone.id }));
-  const address = `${location.origin}/stones/${stone.id}`;
+  const address = `${location.origin}${ROOT}stones/${stone.id}`;
   show(byId("address"), word("passport.address"), " ", html.a({ href: address }, address));
   byId("stone").hidden = false;
   showNumbers(stone);
@@ -107,7 +107,7 @@ function showFacts(stone) {
     ["causes", stone.quality_causes.map((cause) => word(`stone.cause-${cause}`)).join(", ")],
     ["body", stone.body && word(`stone.body-${stone.body}`)],
     ["captured", fullTime(stone.captured_at)],
-    ["lot", stone.lot && html.a({ href: `/gallery?lot=${encodeURIComponent(stone.lot)}` }, stone.lot)],
+    ["lot", stone.lot && html.a({ href: `${ROOT}gallery?lot=${encodeURIComponent(stone.lot)}` }, stone.lot)],
     ["views-used", stone.views.length > 0 && word("passport.views-used", { used: stone.views.length, all: stone.views.length + Object.keys(stone.dropped_views).length })],
     ["gate", stone.gate_extent_is_plausible === false && word("passport.gate-implausible")],
     ["calibration", stone.calibration_id && html.span({ title: stone.calibration_id }, stone.calibration_id.slice(0, 12))],
@@ -136,7 +136,7 @@ async function showNeighbours(stone) {
     get(`/particles?cursor=${place}&limit=1&fields=id`).then(({ items }) => items[0]),
     get(`/results?after=${place}&limit=20&fields=id`).then(({ items }) => items.find(({ revision }) => revision === 1)),
   ].map((asked) => asked.catch(() => undefined)));
-  const link = (found, relation, arrow) => found && html.a({ class: "button", rel: relation, href: `/stones/${found.id}` }, arrow(word(`passport.${relation}`)));
+  const link = (found, relation, arrow) => found && html.a({ class: "button", rel: relation, href: `${ROOT}stones/${found.id}` }, arrow(word(`passport.${relation}`)));
   show(byId("neighbours"), link(before, "prev", (text) => `← ${text}`), link(after, "next", (text) => `${text} →`));
 }
 
@@ -149,7 +149,7 @@ async function showRevisions(stone) {
   const heads = ["revision", "algorithm", "recorded", "sieve", "volume", "quality"].map((name) => word(`passport.revision-${name}`));
   const rows = results.map((each) => ({
     cells: [
-      html.a({ href: `/stones/${each.seq}` }, String(each.revision)),
+      html.a({ href: `${ROOT}stones/${each.seq}` }, String(each.revision)),
       each.algorithm_version ?? "–",
       fullTime(each.recorded_at),
       quantity(each.sieve_size_mm, 2, "mm"),

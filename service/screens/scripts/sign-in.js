@@ -1,6 +1,6 @@
 /** The page that exchanges the token of a key for a session of this browser. */
 
-import { post } from "./api.js";
+import { ROOT, post } from "./api.js";
 import { byId } from "./dom.js";
 import { onSubmit } from "./forms.js";
 import { startPage } from "./header.js";
@@ -19,6 +19,6 @@ new MutationObserver(() => byId("token").focus()).observe(root, { attributeFilte
 
 /** Return the page to go on to: one of this host alone, whatever the address says. */
 function nextAddress() {
-  const next = new URL(new URLSearchParams(location.search).get("next") ?? "/", location.origin);
-  return next.origin === location.origin ? next.pathname + next.search : "/";
+  const next = new URL(new URLSearchParams(location.search).get("next") ?? ROOT, location.origin);
+  return next.origin === location.origin ? next.pathname + next.search : ROOT;
 }

@@ -1,6 +1,6 @@
 /** Stones as small pictures, each the way to its passport. */
 
-import { BASE } from "./api.js";
+import { BASE, ROOT } from "./api.js";
 import { html, setText } from "./dom.js";
 import { COVERAGE } from "./measures.js";
 import { qualityMark } from "./symbols.js";
@@ -15,7 +15,7 @@ export function tile(stone, toggle) {
     still.append(picture);
   } else still.append(stone.reason ? word(`operator.reason-${stone.reason}`) : "");
   return html.li({ class: "tile", "data-id": stone.id },
-    html.a({ href: `/stones/${stone.id}` }, still, html.span({ class: "text" }, ...lines(stone))),
+    html.a({ href: `${ROOT}stones/${stone.id}` }, still, html.span({ class: "text" }, ...lines(stone))),
     toggle && html.button({ type: "button", onclick: toggle }, word("gallery.take-out")),
   );
 }

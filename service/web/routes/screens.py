@@ -1,7 +1,8 @@
 """The pages that people look at, and their files: static, the same for everybody, no data in them and no key needed.
 
 A page names its files under the hash of all of them. So browsers keep these for ever, and have the new ones with the
-first page after an upgrade. All of it is held in memory: it is small, and no name leads out of it.
+first page after an upgrade. All of it is held in memory: it is small, and no name leads out of it. All addresses in a
+page are relative to it, so that a proxy can have the pages below any path.
 """
 
 import gzip
@@ -55,8 +56,8 @@ PAGES = {
 """All pages by address; the header links those that are a section, in this order."""
 MISSING = Page("missing")
 """The page of an address that there is none at."""
-SITE = "@site@"
-"""Stands in a page where the name of plant and instrument comes."""
+SITE, UP = "@site@", "@up@"
+"""Stand in a page where the name of plant and instrument comes, and the way up to the first page."""
 ROOT = "/screens"
 PACKAGES = "packages.json"
 """File that lists what was fetched from npm, so that a page need not try."""
@@ -92,7 +93,7 @@ class File:
 
 @dataclass(frozen=True, slots=True)
 class Screens:
-    """All pages by name, `SITE` still in them, and their files by path."""
+    """All pages by name, `SITE` and `UP` still in them, and their files by path."""
 
     version: str
     pages: Mapping[str, str]
@@ -119,7 +120,12 @@ def installed_screens() -> Screens:
 
     def rendered(page: Page) -> str:
         return templates.get_template(f"{page.name}.html").render(
-            page=page, pages=PAGES, files=f"{ROOT}/{version}", scripts=_scripts(page, contents), site=SITE
+            page=page,
+            pages=PAGES,
+            root=UP,
+            files=f"{UP}{ROOT[1:]}/{version}",
+            scripts=_scripts(page, contents),
+            site=SITE,
         )
 
     pages = {page.name: rendered(page) for page in (*PAGES.values(), MISSING)}
@@ -148,14 +154,16 @@ def _read(folder: Path) -> Iterator[tuple[str, bytes]]:
 
 
 @lru_cache(maxsize=64)
-def _page_of(name: str, site: str) -> File:
+def _page_of(name: str, site: str, depth: int) -> File:
     html = installed_screens().pages[name].replace(SITE, escape(f"{site} – " if site else ""))
+    html = html.replace(UP, "../" * depth or "./")
     return File.of(html.encode(), MEDIA_TYPES[".html"])
 
 
 async def page(request: Request, context: Context, compressed: TakesGzip) -> Response:
     """Return the page of this address."""
-    found = _page_of(PAGES[request.scope["route"].path].name, context.site())
+    address = request.scope["route"].path
+    found = _page_of(PAGES[address].name, context.site(), address.count("/") - 1)
     tag = f'"{hashlib.sha256(found.content).hexdigest()[:16]}"'
     headers = {"ETag": tag, "Cache-Control": "no-cache", "Content-Security-Policy": POLICY}
     return unchanged(request, tag) or _response(found, compressed, headers)
@@ -165,7 +173,8 @@ def missing_page(request: Request) -> Response | None:
     """Return the page that says that there is none at this address; None for who wants no page, and within REST."""
     if request.scope["path"].startswith(BASE) or "text/html" not in request.headers.get("accept", ""):
         return None
-    found = _page_of(MISSING.name, request.app.state.context.site())
+    depth = request.scope["path"].count("/") - 1
+    found = _page_of(MISSING.name, request.app.state.context.site(), depth)
     headers = {"Cache-Control": "no-store", "Content-Security-Policy": POLICY, **HEADERS}
     return Response(found.content, 404, media_type=found.media_type, headers=headers)
 

@@ -1,6 +1,6 @@
 /** The list of lots: what each is, its verdict, its reports, and what can be done with it. */
 
-import { BASE, post } from "../api.js";
+import { BASE, ROOT, post } from "../api.js";
 import { html, rowHead, setText, showNew, table } from "../dom.js";
 import { field, formDialog, makeForm, openDialog } from "../forms.js";
 import { language, number, time, word } from "../words.js";
@@ -18,7 +18,7 @@ const lotsTable = (lots, onChange) =>
   html.div({ class: "wide", tabindex: 0, role: "group", "aria-label": word("lots.all") }, table({},
     ["lot", "product", "opened", "closed", "stones", "verdict", "reports", "actions"].map((column) => word(`lots.${column}`)),
     lots.map((lot) => [
-      rowHead(html.a({ href: `/gallery?lot=${encodeURIComponent(lot.lot)}` }, lot.lot), said(lot)),
+      rowHead(html.a({ href: `${ROOT}gallery?lot=${encodeURIComponent(lot.lot)}` }, lot.lot), said(lot)),
       `${lot.product}, ${word("lots.version", { version: lot.product_version })}`,
       time(lot.opened_at),
       lot.closed_at === null ? word(`lots.state-${lot.state}`) : time(lot.closed_at),
@@ -48,7 +48,7 @@ export function verdictOf({ state, completion, revision, in_progress: n, void_re
 export function reports({ lot, state, completion }) {
   if (state === "void") return null;
   const path = `${BASE}/lots/${encodeURIComponent(lot)}/report`;
-  const address = (format) => (format === "pdf" && completion ? completion.report : `${path}.${format}?language=${language()}`);
+  const address = (format) => (format === "pdf" && completion ? ROOT + completion.report.slice(1) : `${path}.${format}?language=${language()}`);
   return html.span({ class: "reports" }, FORMATS.map((format) => html.a({ href: address(format) }, format.toUpperCase())));
 }
 

@@ -1,5 +1,6 @@
 /** The state of the rig, and the lot: what is read from three metres. */
 
+import { ROOT } from "../api.js";
 import { titled } from "../header.js";
 import { byId, html, setText, showNew } from "../dom.js";
 import { ne107Symbol, ne107Word } from "../symbols.js";
@@ -22,7 +23,7 @@ export function showState({ acquisition, ne107, findings }) {
 export function showLot({ lot }) {
   setText(byId("lot-name"), lot === null ? word("operator.no-lot") : lot.lot);
   byId("largest").hidden = lot === null;
-  byId("largest").href = `/gallery?${new URLSearchParams({ lot: lot?.lot ?? "", order: "heaviest" })}`;
+  byId("largest").href = `${ROOT}gallery?${new URLSearchParams({ lot: lot?.lot ?? "", order: "heaviest" })}`;
   setText(
     byId("lot-product"),
     lot === null
