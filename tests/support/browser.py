@@ -15,6 +15,8 @@ from playwright.sync_api import Browser, ConsoleMessage, Page, Playwright, Reque
 from support.eventually import PATIENCE_S
 
 EXECUTABLE = "/usr/bin/chromium"
+PROXIED = "stonefall.plant"
+"""Name of this machine behind a proxy."""
 FLAGS = (
     "--headless=new",
     "--no-sandbox",
@@ -25,9 +27,11 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
     "--no-first-run",
-    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+    f"--host-resolver-rules=MAP {PROXIED} 127.0.0.1, MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 )
-ELSEWHERE = re.compile(r"^(?!(http://127\.0\.0\.1[:/]|data:|blob:|about:)).*")
+ELSEWHERE = re.compile(
+    rf"^(?!(http://127\.0\.0\.1[:/]|https://{re.escape(PROXIED)}[:/]|data:|blob:|about:)).*"
+)
 AXE = Path(__file__).parents[2] / "deploy/npm/node_modules/axe-core/axe.min.js"
 SIZES: dict[str, ViewportSize] = {
     "wall": {"width": 1920, "height": 1080},

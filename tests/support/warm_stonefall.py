@@ -221,9 +221,10 @@ if __name__ == "__main__":
 
     for command in service.commands.cli.COMMANDS.values():
         __import__(command)
-    routes = service.daemon.rest.app.build_routes()
+    build = service.daemon.rest.app.build_routes
+    routes = build()
     routes.openapi()  # what FastAPI makes at first use
-    service.daemon.rest.app.build_routes = lambda: routes
+    service.daemon.rest.app.build_routes = lambda prefix="": build(prefix) if prefix else routes
     # stones get measured and who looks gets an answer also beside processes that compute
     service.processing.measure_job.NICENESS, service.web.reader_process.NICENESS = 1, 2
     asyncio.Handle._run = _told(asyncio.Handle._run)  # type: ignore[attr-defined,method-assign]  # not in its stubs
