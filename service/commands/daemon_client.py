@@ -75,7 +75,7 @@ class DaemonClient:
         """Return the content of an answer, undecoded; otherwise as `ask`."""
         if urlsplit(self.url).scheme not in ("http", "https"):
             raise DaemonError(f"--url {self.url}: must begin with http:// or https://")
-        headers: dict[str, str] = {}
+        headers = {"User-Agent": "stonefall"}
         data = None
         if body is not None:
             headers["Content-Type"] = "application/json"

@@ -1,9 +1,10 @@
-"""`stonefall keys`: create, list and revoke keys of the REST interface; a running daemon knows at once."""
+"""`stonefall keys`: create, pair, list and revoke keys of the REST interface; a running daemon knows at once."""
 
 import getpass
 import json
 import os
 import re
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any
 
@@ -13,12 +14,16 @@ from rich.table import Table
 
 from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
-from service.base.errors import UsageError
+from service.base.errors import StoreError, UsageError
+from service.commands.daemon_client import DaemonClient, DaemonError
 from service.commands.options import DaemonConfig
 from service.configuration.settings import Settings, load_settings
 from service.store.keys import AccessKey, create_key, revoke_key, stored_keys
-from service.web.settings import Scope
+from service.store.pairings import key_without_token, pair_screen, waiting_screen
+from service.web.settings import Role, Scope
 
+ANSWER_S = 5.0
+"""Longest wait for a daemon that need not run."""
 command = typer.Typer(
     no_args_is_help=True, help="Keys of the REST interface; changes apply to a running daemon at once."
 )
@@ -40,14 +45,22 @@ def create(
         str | None,
         typer.Option(help="Expiry: a date, a time (UTC without an offset), or a number of days: 90d."),
     ] = None,
+    display: Annotated[
+        bool,
+        typer.Option(help="For a wall screen: it only reads, and stays signed in until the key is revoked."),
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Create a key and print its token, this once."""
     settings = load_settings(config)
     _require_not_configured(settings, name)
     wanted = tuple(dict.fromkeys(scopes or [Scope.READ]))
+    if display and wanted != (Scope.READ,):
+        raise UsageError("--display: a display only reads: give it no other --scope")
     expires_at = None if expires is None else _expiry(expires, datetime.now(UTC))
-    key, token = create_key(settings.store.dir, name, wanted, expires_at, _user())
+    first = _what_the_first_key_ends(settings)
+    key, token = create_key(settings.store.dir, name, wanted, expires_at, _user(), is_display=display)
+    _tell(first)
     if as_json:
         shown = {"name": name, "scopes": key.scopes, "expires_at": key.expires_at, "token": token}
         typer.echo(json.dumps(shown))
@@ -57,11 +70,49 @@ def create(
     typer.echo(f"key {name} may {', '.join(wanted)}{until}; its token is not shown again", err=True)
 
 
+@command.command()
+def pair(
+    code: Annotated[str, typer.Argument(metavar="CODE", help="The six digits that the screen shows.")],
+    name: Annotated[
+        str | None, typer.Option(help="Name of the screen: its place; without it, it is asked for.")
+    ] = None,
+    role: Annotated[Role, typer.Option(help="What the screen is for.")] = Role.DISPLAY,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Do not ask whether it is the right screen; needs --name.")
+    ] = False,
+    *,
+    config: DaemonConfig,
+) -> None:
+    """Sign in the screen that shows a code: it gets a key of its own."""
+    settings = load_settings(config)
+    if yes and name is None:
+        raise UsageError("--yes: give the screen a --name")
+    screen = waiting_screen(settings.store.dir, code)
+    typer.echo(
+        f"code {code} is shown at {screen.address or 'this machine'} by: {screen.user_agent or 'unknown'}"
+    )
+    first = _what_the_first_key_ends(settings)
+    _tell(first)
+    if not yes:
+        typer.confirm("is that the screen before you?", abort=True)
+    name = name or typer.prompt("name of the screen")
+    _require_not_configured(settings, name)
+    key = key_without_token(name, role.scopes, _user(), is_display=role is Role.DISPLAY)
+    pair_screen(settings.store.dir, code, key)
+    typer.echo(
+        f"key {name} may {', '.join(key.scopes)}; its screen signs itself in within seconds, and"
+        f" `stonefall keys revoke {name}` signs it out"
+    )
+
+
 @command.command("list")
 def list_(config: DaemonConfig, as_json: AsJson = False) -> None:
     """List all keys, those of the configuration as well."""
     settings = load_settings(config)
-    now, shown = utc_now(), ("created_at", "created_by", "expires_at", "revoked_at", "revoked_by")
+    now, shown = (
+        utc_now(),
+        ("created_at", "created_by", "expires_at", "revoked_at", "revoked_by", "is_display"),
+    )
     configured = [AccessKey(key.sha256, key.name, key.scopes) for key in settings.api.keys]
     keys: list[dict[str, Any]] = [  # without their hashes
         {
@@ -78,8 +129,9 @@ def list_(config: DaemonConfig, as_json: AsJson = False) -> None:
     table = Table("name", "scopes", "state", "created", "by", "expires")
     for key in keys:
         created = (_day(key["created_at"]) or "in the configuration", key["created_by"] or "")
+        scopes = [*key["scopes"], *(["display"] if key["is_display"] else [])]
         table.add_row(
-            key["name"], ", ".join(key["scopes"]), key["state"], *created, _day(key["expires_at"]) or "never"
+            key["name"], ", ".join(scopes), key["state"], *created, _day(key["expires_at"]) or "never"
         )
     Console().print(table)
 
@@ -91,6 +143,28 @@ def revoke(name: Name, config: DaemonConfig) -> None:
     _require_not_configured(settings, name)
     revoke_key(settings.store.dir, name, _user())
     typer.echo(f"key {name} is revoked")
+
+
+def _what_the_first_key_ends(settings: Settings) -> str | None:
+    """Return the words about clients that the first key shuts out, as a running daemon knows them; None with others."""
+    try:
+        if settings.api.keys or stored_keys(settings.store.dir):
+            return None
+    except StoreError:  # there were some, which are lost
+        return None
+    seen: list[dict[str, str]] = []
+    with suppress(DaemonError):
+        seen = DaemonClient(settings.api.local_url).ask("/session", timeout_s=ANSWER_S)["keyless"]
+    reads = " but for reading on this machine" if settings.api.loopback_reads_without_key else ""
+    clients = [f"  {each['address']}  {each['user_agent']}" for each in seen]
+    asked = ["these asked without one since the daemon started:", *clients] if clients else []
+    said = f"this is the first key: from now on every page and program needs one{reads}; pages ask for it by themselves"
+    return "\n".join([said, *asked])
+
+
+def _tell(first: str | None) -> None:
+    if first is not None:
+        typer.echo(first, err=True)
 
 
 def _require_not_configured(settings: Settings, name: str) -> None:

@@ -1,7 +1,6 @@
 """Head and foot of a report: plant, instrument, logo and QR code; the signature of instrument and people."""
 
-from io import BytesIO
-
+from service.base.qr import qr_svg
 from service.reports.document import Letterhead, Note, Section, Signatures, facts
 from service.reports.report import ReportData
 from service.reports.words import Words, abridged
@@ -18,18 +17,8 @@ def letterhead(data: ReportData, say: Words) -> Letterhead:
         lines=tuple(lines),
         logo_svg=data.logo_svg,
         address=address,
-        qr_svg=None if address is None else _qr(address),
+        qr_svg=None if address is None else qr_svg(address),
     )
-
-
-def _qr(address: str) -> str:
-    import segno  # imported here: takes 0.1 s, and most reports have no address
-
-    drawn = BytesIO()
-    segno.make_qr(address, error="m").save(
-        drawn, kind="svg", xmldecl=False, omitsize=True, border=2, light="#fff"
-    )
-    return drawn.getvalue().decode().strip()
 
 
 def signature(data: ReportData, say: Words) -> Section:

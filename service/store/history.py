@@ -155,6 +155,7 @@ def keep_keys(connection: sqlite3.Connection, state_dir: Path, former: Path | No
     have been ended since the copy.
     """
     connection.execute("DELETE FROM browser_sessions")
+    connection.execute("DELETE FROM pairings")
     connection.execute("UPDATE store SET keys_lost = ?", ((state_dir / HAS_KEYS).exists(),))
     if former is None or not former.is_file():  # a pipe would wait for a writer
         return
@@ -164,7 +165,9 @@ def keep_keys(connection: sqlite3.Connection, state_dir: Path, former: Path | No
         (is_lost,) = reader.execute("SELECT keys_lost FROM store").fetchone() or (1,)
         if not is_lost:
             connection.execute("DELETE FROM keys")
-        connection.executemany("INSERT OR REPLACE INTO keys VALUES (?, ?, ?, ?, ?, ?, ?, ?)", keys)
+        # of an earlier release without `is_display`
+        rows = [(*key, 0)[:9] for key in keys]
+        connection.executemany("INSERT OR REPLACE INTO keys VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", rows)
         connection.execute("UPDATE store SET keys_lost = ?", (is_lost,))
 
 

@@ -12,7 +12,8 @@ import secrets
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from drivers.files.bounded import read_bounded
 from drivers.files.times import utc_now
-from service.base.errors import StoreError
+from service.base.errors import ProblemError, ProblemKind, StoreError
 from service.base.schema import GivenTime
 from service.store import audit
 from service.store.history import DATABASE, HAS_KEYS
@@ -28,6 +29,13 @@ from service.store.schema import connect, newest_version, read, transaction
 from service.store.store import open_store
 
 log = logging.getLogger(__name__)
+
+
+class KeyConflictError(ProblemError, StoreError):
+    """The key cannot be added: its name is none or is taken, or there are too many."""
+
+    kinds = (ProblemKind("key-conflict", HTTPStatus.CONFLICT, "The key cannot be made"),)
+
 
 NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 PREFIX = "stonefall_"
@@ -55,6 +63,9 @@ class AccessKey:
     expires_at: GivenTime | None = None
     revoked_at: GivenTime | None = None
     revoked_by: str | None = None
+    is_display: bool = (
+        False  # of a wall screen, which only reads and stays signed in until the key is revoked
+    )
 
     def refusal(self, now: str) -> str | None:
         """Return the reason why the key is not accepted at a time, None if it is."""
@@ -67,7 +78,8 @@ class AccessKey:
     @property
     def facts(self) -> dict[str, Any]:
         """What the audit says of its creation."""
-        return {"scopes": self.scopes, "created_at": self.created_at, "expires_at": self.expires_at}
+        names = ("scopes", "is_display", "created_at", "expires_at")
+        return {name: getattr(self, name) for name in names}
 
 
 def sha256_of(token: str) -> str:
@@ -91,35 +103,51 @@ def stored_keys(state_dir: Path) -> list[AccessKey]:
     return [*(read(path, known_keys) if has_keys else ()), *keys_of_file(state_dir / FILE)]
 
 
+def new_token() -> str:
+    """Return a token that no one has guessed."""
+    return PREFIX + secrets.token_urlsafe(TOKEN_BYTES)
+
+
 def create_key(
-    state_dir: Path, name: str, scopes: tuple[str, ...], expires_at: str | None, by: str
+    state_dir: Path,
+    name: str,
+    scopes: tuple[str, ...],
+    expires_at: str | None,
+    by: str,
+    *,
+    is_display: bool = False,
 ) -> tuple[AccessKey, str]:
     """Add a key to a store and return it with its token, which is nowhere else.
 
     Raises `StoreError` for no name or that of an accepted key, or if the store cannot be written, or is full of keys.
     """
-    if not NAME.fullmatch(name):
-        raise StoreError(f"key {name!r}: a name has 1 to 64 letters, digits, '.', '-' and '_'")
-    token, now = PREFIX + secrets.token_urlsafe(TOKEN_BYTES), utc_now()
-    key = AccessKey(sha256_of(token), name, scopes, now, by, expires_at)
-    with _writing(state_dir) as connection:
-        keys = _all_keys(connection)
-        if any(each.name == name and each.refusal(now) is None for each in keys):
-            raise StoreError(f"there is a key {name!r}: revoke it first, or choose another name")
-        if len(keys) >= MAX_KEYS:
-            dead = next((each for each in keys if each.refusal(now) is not None), None)
-            if dead is None:
-                raise StoreError(f"{state_dir}: has {MAX_KEYS} keys: revoke old ones")
-            connection.execute("DELETE FROM keys WHERE sha256 = ?", (dead.sha256,))
-        (state_dir / HAS_KEYS).touch()
-        _insert(connection, key)
+    token = new_token()
+    key = AccessKey(sha256_of(token), name, scopes, utc_now(), by, expires_at, is_display=is_display)
+    with writing(state_dir) as connection:
+        insert_key(connection, state_dir, key)
         audit.note(connection, f"stonefall keys of {by}", "key created", name, after=key.facts)
     return key, token
 
 
+def insert_key(connection: sqlite3.Connection, state_dir: Path, key: AccessKey) -> None:
+    """Add a key within a transaction; raise `KeyConflictError` if it cannot be added."""
+    if not NAME.fullmatch(key.name):
+        raise KeyConflictError(f"key {key.name!r}: a name has 1 to 64 letters, digits, '.', '-' and '_'")
+    keys, now = _all_keys(connection), utc_now()
+    if any(each.name == key.name and each.refusal(now) is None for each in keys):
+        raise KeyConflictError(f"there is a key {key.name!r}: revoke it first, or choose another name")
+    if len(keys) >= MAX_KEYS:
+        dead = next((each for each in keys if each.refusal(now) is not None), None)
+        if dead is None:
+            raise KeyConflictError(f"{state_dir}: has {MAX_KEYS} keys: revoke old ones")
+        connection.execute("DELETE FROM keys WHERE sha256 = ?", (dead.sha256,))
+    (state_dir / HAS_KEYS).touch()
+    _insert(connection, key)
+
+
 def revoke_key(state_dir: Path, name: str, by: str) -> None:
     """Revoke the key of this name; raise `StoreError` if there is none that is not revoked."""
-    with _writing(state_dir) as connection:
+    with writing(state_dir) as connection:
         revoked = connection.execute(
             "UPDATE keys SET revoked_at = ?, revoked_by = ? WHERE name = ? AND revoked_at IS NULL RETURNING *",
             (utc_now(), by, name),
@@ -177,7 +205,7 @@ def keys_of_file(path: Path) -> list[AccessKey]:
 
 
 @contextmanager
-def _writing(state_dir: Path) -> Iterator[sqlite3.Connection]:
+def writing(state_dir: Path) -> Iterator[sqlite3.Connection]:
     """Run a transaction on a store, beside a daemon that may have it open.
 
     One that is missing or of an earlier release is opened as the daemon does first, which needs the lock.
@@ -212,15 +240,15 @@ def _all_keys(connection: sqlite3.Connection) -> list[AccessKey]:
 
 
 def _of_row(row: tuple[Any, ...]) -> AccessKey:
-    sha256, name, scopes, *others = row
-    return AccessKey(sha256, name, tuple(scopes.split()), *others)
+    sha256, name, scopes, *times, is_display = row
+    return replace(AccessKey(sha256, name, tuple(scopes.split()), *times), is_display=bool(is_display))
 
 
 def _insert(connection: sqlite3.Connection, key: AccessKey) -> bool:
     """Add a key, unless it is there already; return whether it was added."""
     row = {**asdict(key), "scopes": " ".join(key.scopes)}
     inserted = connection.execute(
-        "INSERT INTO keys VALUES (?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (sha256) DO NOTHING",
+        "INSERT INTO keys VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (sha256) DO NOTHING",
         tuple(row.values()),
     )
     return inserted.rowcount == 1

@@ -3,7 +3,6 @@
 While there is no key, only this machine may write, and other hosts may read if `[api] without_keys` says so.
 """
 
-import math
 import time
 from collections.abc import Awaitable, Callable, Collection
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from fastapi.security.utils import get_authorization_scheme_param
 from drivers.files.times import utc_now
 from service.base.addresses import host_of, is_loopback
 from service.store.keys import AccessKey
-from service.web.clients import host_of_client
+from service.web.clients import host_of_client, pause_problem
 from service.web.context import ApiContext, Context
 from service.web.idempotency import begin_attempt
 from service.web.problems import Problem
@@ -62,7 +61,7 @@ def require(scope: Scope) -> Callable[[Request, Context], Awaitable[None]]:
             raise _refusal(asker, scope)
         if asker.session is not None:
             require_own_page(request, context.settings)
-        request.state.who = asker.who or ANYBODY
+        request.state.who, request.state.scopes = asker.who or ANYBODY, asker.scopes
         await begin_attempt(request)
 
     return admit
@@ -83,6 +82,8 @@ def asker_of(request: Request, context: Context, *, counts_guess: bool = True) -
     if keys.is_empty:
         may_read = {Scope.READ} if context.settings.may_read_without_keys else set()
         scopes = set(Scope) if is_local else may_read
+        if scopes:
+            context.keyless.note(request)
         return Asker(who=THIS_MACHINE if is_local else None, scopes=scopes)
     free = {Scope.READ} if is_local and context.settings.loopback_reads_without_key else set()
     scheme, token = get_authorization_scheme_param(request.headers.get("authorization"))
@@ -123,11 +124,9 @@ def checked_key(request: Request, context: ApiContext, token: str, *, counts_gue
         return key
     host, now_s = host_of_client(request), time.monotonic()
     if (pause_s := context.guesses.pause_s(host, now_s)) > 0:
-        wait_s = math.ceil(pause_s)
-        detail = f"too many wrong keys came from {host}, and this is another: try again in {wait_s} s"
-        raise Problem(429, "too-many-attempts", detail, retry_after_s=wait_s)
+        raise pause_problem("wrong keys came", host, pause_s)
     if counts_guess:
-        context.guesses.note_wrong(host, now_s)
+        context.guesses.note(host, now_s)
     raise Problem(401, "unauthorized", "there is no such key", headers=INVALID_TOKEN)
 
 
@@ -142,7 +141,10 @@ Who = Annotated[str, Depends(who)]
 def _refusal(asker: Asker, scope: Scope) -> Problem:
     """Return the problem of a requester that lacks a scope: 403 with a key, and for writes while there is none."""
     if asker.key is not None:
-        detail = f"key {asker.key.name!r} lacks the scope {str(scope)!r}"
+        lacks = "is a display's, which may only read: sign in with another key"
+        detail = (
+            f"key {asker.key.name!r} {lacks if asker.key.is_display else f'lacks the scope {str(scope)!r}'}"
+        )
         challenge = f'Bearer error="insufficient_scope", scope="{scope}"'
         return Problem(403, "forbidden", detail, headers={"WWW-Authenticate": challenge})
     if asker.refusal is None and scope is not Scope.READ:

@@ -11,11 +11,12 @@ from fastapi import Depends, Request
 from service.base.errors import StoreError
 from service.store import Store, read
 from service.store.accounting import OutcomeCounts, outcome_counts
-from service.web.clients import KeyGuesses
+from service.web.clients import Attempts, Keyless
 from service.web.connections import OpenStreams
 from service.web.control import Control
 from service.web.key_ring import KeyRing
 from service.web.pace import Pace
+from service.web.pairings import Pairings
 from service.web.reader_process import Reading
 from service.web.sessions import Sessions
 from service.web.settings import ApiSettings
@@ -58,7 +59,12 @@ class ApiContext:
     """Long polls are answered one after the other, although a result wakes all of them at once."""
     streams: OpenStreams = field(default_factory=OpenStreams)
     counted: CountedOutcomes = field(default_factory=CountedOutcomes)
-    guesses: KeyGuesses = field(default_factory=KeyGuesses)
+    guesses: Attempts = field(default_factory=Attempts)
+    """Wrong keys."""
+    codes: Attempts = field(default_factory=Attempts)
+    """Wrong codes of screens."""
+    pairings: Pairings = field(default_factory=Pairings)
+    keyless: Keyless = field(default_factory=Keyless)
 
     async def read_beside(self, query: Callable[..., T], *arguments: object) -> T:
         """Return `query(connection, *arguments)`, made in the reading process: it takes long."""

@@ -45,6 +45,7 @@ PROBLEMS = tuple(
         (421, "unknown-host", "This service does not have the name that was asked for"),
         (422, "idempotency-key-reused", "The idempotency key was used for another request"),
         (429, "too-many-attempts", "Too many wrong keys"),
+        (429, "too-many-pairings", "Too many screens wait to be signed in"),
         (429, "too-many-keys", "Too many idempotency keys"),
         (500, "internal-error", "Internal error of the service"),
         (500, "store-damaged", "The store is damaged"),

@@ -1,7 +1,7 @@
 """Sessions of browsers: a cookie that a key was exchanged for, valid as long as the key and for twelve hours unused.
 
 Of the cookie only the hash is stored. A session outlives a restart, dies with its key, and a new key of the same name
-does not wake it.
+does not wake it. Those of wall screens last as long as the key.
 
 Browsers send cookies with whatever any page asks for, and keep them by the name of the host alone: other ports and, for
 `SameSite`, other hosts of the domain count as ours. So what is written with a cookie must come from a page of our very
@@ -15,6 +15,7 @@ from dataclasses import astuple, dataclass, replace
 
 from fastapi import Request, Response
 
+from service.base.addresses import host_of, is_loopback
 from service.store import Store
 from service.store.keys import AccessKey, sha256_of
 from service.web.problems import Problem
@@ -30,8 +31,10 @@ AHEAD_S = 300
 """A session from later than this after now is of a clock that was wrong, and might last for years."""
 RENEWED_S = 60
 """Least time between two renewals that are written."""
+LASTING_S = 400 * 24 * 3600
+"""That of a wall screen ends when it was not renewed for so long: browsers keep no cookie longer."""
 MAX_SESSIONS = 10_000
-"""Beyond, those that were begun first end."""
+"""Beyond, those that were begun first end, of wall screens last."""
 NAME, NAME_OVER_TLS = "stonefall-session", "__Host-stonefall-session"
 PROXY = "a proxy in front of this service must pass on Host and X-Forwarded-Proto"
 READING = frozenset({"GET", "HEAD"})
@@ -45,10 +48,13 @@ class BrowserSession:
     key_sha256: str
     begun_s: int
     renewed_s: int
+    is_lasting: bool = False  # of a wall screen
 
     @property
     def expires_s(self) -> int:
         """When it ends, unless it is renewed or its key ends before."""
+        if self.is_lasting:
+            return self.renewed_s + LASTING_S
         return min(self.renewed_s + UNUSED_S, self.begun_s + LONGEST_S)
 
 
@@ -62,18 +68,20 @@ class Sessions:
     def begin(self, key: AccessKey, now_s: int) -> tuple[BrowserSession, str]:
         """Return a new session of a key, and its cookie."""
         self._sessions = {sha256: each for sha256, each in self._sessions.items() if now_s < each.expires_s}
-        over = "DELETE FROM browser_sessions WHERE renewed_s <= ? OR begun_s <= ?"
-        self._write(over, now_s - UNUSED_S, now_s - LONGEST_S)
+        over = "DELETE FROM browser_sessions WHERE renewed_s <= ? OR NOT is_lasting AND"
+        self._write(f"{over} renewed_s <= ?", now_s - LASTING_S, now_s - UNUSED_S)
+        self._write(f"{over} begun_s <= ?", now_s - LASTING_S, now_s - LONGEST_S)
         if len(self._sessions) >= MAX_SESSIONS:
-            self.end(next(iter(self._sessions.values())))
+            self.end(min(self._sessions.values(), key=lambda each: each.is_lasting))
         cookie = secrets.token_urlsafe(32)
-        return self._put(BrowserSession(sha256_of(cookie), key.sha256, now_s, now_s)), cookie
+        return self._put(BrowserSession(sha256_of(cookie), key.sha256, now_s, now_s, key.is_display)), cookie
 
     def find(self, cookie: str, now_s: float) -> BrowserSession | None:
         """Return the session of a cookie; None if it is not ours or has ended, by a clock that may have been set."""
         session = self._sessions.get(sha256_of(cookie))
-        is_alive = session is not None and session.renewed_s - AHEAD_S <= now_s < session.expires_s
-        return session if is_alive else None
+        if session is None or now_s >= session.expires_s:
+            return None
+        return session if session.is_lasting or session.renewed_s - AHEAD_S <= now_s else None
 
     def renew(self, session: BrowserSession, now_s: float) -> BrowserSession:
         """Return the session as it is used now."""
@@ -88,7 +96,7 @@ class Sessions:
 
     def _put(self, session: BrowserSession) -> BrowserSession:
         self._sessions[session.cookie_sha256] = session
-        self._write("INSERT OR REPLACE INTO browser_sessions VALUES (?, ?, ?, ?)", *astuple(session))
+        self._write("INSERT OR REPLACE INTO browser_sessions VALUES (?, ?, ?, ?, ?)", *astuple(session))
         return session
 
     def _write(self, statement: str, *values: str | int) -> None:
@@ -145,6 +153,21 @@ def require_own_page(request: Request, settings: ApiSettings) -> None:
             f"with a session only our own pages may write, not {origin!r} ({PROXY}); programs send their key"
         )
         raise Problem(403, "foreign-origin", detail)
+
+
+def require_own_sign_in(request: Request, settings: ApiSettings) -> None:
+    """Reject a sign-in that a page of another origin asks for, with the problem 403."""
+    origin = request.headers.get("origin")
+    if origin is not None and not is_own_origin(request, origin, settings):
+        raise Problem(403, "foreign-origin", f"a page of {origin!r} must not sign in here; {PROXY}")
+
+
+def own_address(request: Request, settings: ApiSettings) -> str | None:
+    """Return where the asking browser has our pages; None if only this machine finds them there."""
+    netloc = request.headers.get("host", "")
+    if netloc == "" or is_loopback(host_of(netloc)):
+        return None
+    return f"{'https' if _is_over_tls(request) else 'http'}://{netloc}{settings.path_prefix}"
 
 
 def is_own_origin(request: Request, origin: str, settings: ApiSettings) -> bool:

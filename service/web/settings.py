@@ -29,6 +29,22 @@ class Scope(StrEnum):
     """Accept and activate calibrations, define products, read the configuration."""
 
 
+class Role(StrEnum):
+    """What a screen is for that is signed in by a code."""
+
+    DISPLAY = "display"
+    """Only reads, and stays signed in until its key is revoked."""
+    OPERATOR = "operator"
+    """Reads and operates."""
+    ENGINEER = "engineer"
+    """May do all."""
+
+    @property
+    def scopes(self) -> tuple[Scope, ...]:
+        """Scopes of its key."""
+        return tuple(Scope)[: tuple(Role).index(self) + 1]
+
+
 class WithoutKeys(StrEnum):
     """What hosts of the network may do while there is no key."""
 

@@ -29,6 +29,7 @@ from service.web.version import BASE
 READING = {"get"}
 NOT_NOTED = {
     ("POST", "/reports/verify"): "it changes nothing: a file is too large for an address",
+    ("POST", "/session/pairing"): "a screen asks for a code, which opens nothing",
     ("PUT", "/consumers/{name}/cursor"): "a reader parks its own place after every page",
     ("POST", "/particles/{particle_id}/revisions/orders"): "a folder on tmpfs; what comes of it is noted",
 }
@@ -191,6 +192,18 @@ async def write_webhooks(write: Writing) -> None:
 
 async def write_by_browser(write: Writing, client: httpx.AsyncClient) -> None:
     """Sign in, have a camera's lamp blink with the cookie, and sign out; the key itself looks for the last entry."""
+    begun = (await client.post("/session/pairing")).json()
+    wall = {"name": "silo-2", "role": "display"}
+    confirm = "/pairings/{code}/confirm"
+    await write("POST", confirm, wall, "screen paired", "silo-2", code=begun["code"])
+    n_entries = len(await write.entries())
+    assert (await client.post("/session/pairing/claim", json={"secret": begun["secret"]})).json()[
+        "is_signed_in"
+    ]
+    client.cookies.clear()
+    (claimed,) = (await write.entries())[n_entries:]
+    assert (claimed["who"], claimed["action"]) == ("key silo-2", "session begun")
+    write.written.add(("POST", "/session/pairing/claim"))
     await write("POST", "/session", {"token": "token"}, "session begun", "boss")
     key = client.headers.pop("Authorization")
     client.headers["Origin"] = "http://127.0.0.1:8080"

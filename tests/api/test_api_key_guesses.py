@@ -8,17 +8,17 @@ from support.rest import FakeControl, app_of, assert_problem, client_of
 from support.served import served_by
 
 from service.store import Store
-from service.web.clients import MAX_REMEMBERED, MAX_WRONG, PAUSE_S, KeyGuesses
+from service.web.clients import MAX_REMEMBERED, MAX_WRONG, PAUSE_S, Attempts
 from service.web.settings import ApiKey, ApiSettings
 
 MES = ApiKey(name="mes", sha256=hashlib.sha256(b"mes-token").hexdigest())
 RIGHT, WRONG = ({"Authorization": f"Bearer {token}"} for token in ("mes-token", "guess"))
 
 
-def guessed(host: str, n: int = MAX_WRONG, now_s: float = 0.0) -> KeyGuesses:
-    guesses = KeyGuesses()
+def guessed(host: str, n: int = MAX_WRONG, now_s: float = 0.0) -> Attempts:
+    guesses = Attempts()
     for _ in range(n):
-        guesses.note_wrong(host, now_s)
+        guesses.note(host, now_s)
     return guesses
 
 
@@ -74,13 +74,13 @@ def test_the_pause_ends_and_is_not_prolonged() -> None:
     assert guesses.pause_s("192.0.2.66", 0.0) == PAUSE_S
     assert guesses.pause_s("192.0.2.66", PAUSE_S / 2) == PAUSE_S / 2
     assert guesses.pause_s("192.0.2.66", PAUSE_S) == 0.0
-    guesses.note_wrong("192.0.2.66", PAUSE_S)  # counts as the first
+    guesses.note("192.0.2.66", PAUSE_S)  # counts as the first
     assert guesses.pause_s("192.0.2.66", PAUSE_S) == 0.0
 
 
 def test_guesses_of_another_day_do_not_add_up() -> None:
     guesses = guessed("192.0.2.66", MAX_WRONG - 1)
-    guesses.note_wrong("192.0.2.66", 2 * PAUSE_S)
+    guesses.note("192.0.2.66", 2 * PAUSE_S)
     assert guesses.pause_s("192.0.2.66", 2 * PAUSE_S) == 0.0
 
 
@@ -98,7 +98,7 @@ def test_memory_is_bounded_and_the_latest_are_kept() -> None:
     guesses = guessed("192.0.2.66")
     for number in range(2 * MAX_REMEMBERED):
         host = f"10.0.{number // 256}.{number % 256}"
-        guesses.note_wrong(host, 0.0)
-        guesses.note_wrong("192.0.2.66", 0.0)
+        guesses.note(host, 0.0)
+        guesses.note("192.0.2.66", 0.0)
     assert len(guesses._wrong) == MAX_REMEMBERED
     assert guesses.pause_s("192.0.2.66", 0.0) == PAUSE_S

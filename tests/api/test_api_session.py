@@ -389,12 +389,18 @@ async def test_who_am_i(store: Store, control: FakeControl, state_dir: Path) -> 
     everywhere = ApiSettings(host="0.0.0.0", without_keys=WithoutKeys.EVERY_HOST_MAY_READ)  # noqa: S104 - not bound
     app = app_of(store, control, everywhere)
     async with client_of(app) as here, client_of(app, "192.0.2.9", "127.0.0.1") as there:
-        nobody = {"expires_at": None, "has_keys": False}
-        assert (await here.get("/session")).json() == {"who": "this machine", "scopes": [*ALL], **nobody}
-        assert (await there.get("/session")).json() == {"who": None, "scopes": ["read"], **nobody}
+        nobody = {"expires_at": None, "has_keys": False, "is_display": False}
+        there_asks = (await there.get("/session")).json()
+        assert there_asks == {"who": None, "scopes": ["read"], "keyless": [], **nobody}
+        keyless = [
+            {"address": address, "user_agent": here.headers["User-Agent"]}
+            for address in ("127.0.0.1", "192.0.2.9")
+        ]
+        here_asks = (await here.get("/session")).json()
+        assert here_asks == {"who": "this machine", "scopes": [*ALL], "keyless": keyless, **nobody}
         _, token = create_key(state_dir, "office", (Scope.READ, Scope.OPERATE), None, "root")
         for client in (here, there):
-            unknown = {"who": None, "scopes": [], "expires_at": None, "has_keys": True}
+            unknown = {"who": None, "scopes": [], "keyless": [], **nobody, "has_keys": True}
             assert (await client.get("/session")).json() == unknown
             bearer = await client.get("/session", headers={"Authorization": f"Bearer {token}"})
             assert (bearer.json()["who"], bearer.json()["scopes"]) == ("key office", ["read", "operate"])

@@ -7,7 +7,7 @@ from http import HTTPStatus
 from pathlib import Path
 
 from prometheus_client.parser import text_string_to_metric_families
-from support.daemon_process import DaemonProcess
+from support.daemon_process import DaemonProcess, free_port
 from support.small_recording import write_small_recording
 from support.warm_stonefall import run_stonefall
 
@@ -61,6 +61,27 @@ def test_a_key_works_and_dies_while_the_daemon_runs_and_metrics_agree(tmp_path: 
     done = run_stonefall("audit", "verify", "--config", daemon.config_path, check=True)
     assert done.stdout.startswith("3 entries, whole")
     assert "Traceback" not in daemon.log
+
+
+def test_a_screen_is_paired_beside_the_daemon_which_knows_who_asked_without_a_key(tmp_path: Path) -> None:
+    write_small_recording(tmp_path / "recording", n_stones=1)
+    with DaemonProcess(tmp_path, tmp_path / "recording", port=free_port()) as daemon:
+        daemon.hear("READY=1")
+        mes = urllib.request.Request(daemon.url("/results"), headers={"User-Agent": "mes/2"})  # noqa: S310 - http
+        urllib.request.urlopen(mes).close()  # noqa: S310 - http
+        screen = daemon.post("/session/pairing", {})
+        code, secret = screen["code"], {"secret": screen["secret"]}
+        assert daemon.post("/session/pairing/claim", secret) == {"is_signed_in": False}
+        pair = ("keys", "pair", code, "--name", "silo-2", "--yes", "--config", daemon.config_path)
+        done = run_stonefall(*pair, check=True)
+        assert f"code {code} is shown at 127.0.0.1" in done.stdout
+        assert done.stderr.startswith("this is the first key: from now on every page and program needs one")
+        assert done.stderr.endswith("\n  127.0.0.1  mes/2\n")  # before it the command itself
+        assert daemon.post("/session/pairing/claim", secret) == {"is_signed_in": True}
+        assert daemon.post("/session/pairing/claim", secret)["status"] == HTTPStatus.NOT_FOUND
+        assert fetch(daemon, "/results")[0] == HTTPStatus.UNAUTHORIZED
+        assert screen["secret"] not in daemon.log
+        assert daemon.stop() == 0
 
 
 def test_the_network_is_not_served_without_a_key(tmp_path: Path) -> None:

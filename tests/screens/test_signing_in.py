@@ -1,19 +1,39 @@
 """What somebody without a session sees, and how a key becomes one."""
 
 import re
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
 import pytest
-from playwright.sync_api import expect
-from support.browser import Watched, origin_of
+from playwright.sync_api import Browser, expect
+from support.browser import Watched, origin_of, screenshot, violations, watched_page
 from support.daemon_process import DaemonProcess
 
-from service.store.keys import create_key
+from service.store.keys import create_key, revoke_key
 from service.web.settings import Scope
 
 REFUSED = re.compile("status of 401")
 PATIENCE_MS = 300_000
+PHONE = {"width": 390, "height": 844}
+CONTRASTS = """
+(() => {
+  const channels = (colour) => colour.match(/[\\d.]+/g).map(Number);
+  const light = (colour) => channels(colour).slice(0, 3).map((value) => value / 255)
+    .map((value) => (value <= 0.04045 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4))
+    .reduce((sum, value, n) => sum + value * [0.2126, 0.7152, 0.0722][n], 0);
+  const behind = (place) => {
+    const colour = getComputedStyle(place).backgroundColor;
+    return channels(colour)[3] === 0 ? behind(place.parentElement) : colour;
+  };
+  return Object.fromEntries([...document.querySelectorAll(".button, button, .banner strong")].map((place) => {
+    const [dark, bright] = [light(getComputedStyle(place).color), light(behind(place))].sort((a, b) => a - b);
+    return [`${place.className} ${place.textContent}`, (bright + 0.05) / (dark + 0.05)];
+  }));
+})()
+"""
+"""Contrast of each button's words with what is behind them, by WCAG 2.2, as the browser computed both."""
 
 
 @pytest.fixture
@@ -46,3 +66,75 @@ def test_a_key_becomes_a_session_and_the_page_comes_to_life(
     assert page.evaluate("document.cookie") == ""  # no script sees the session
     page.get_by_role("button", name="Sign out").click()
     expect(page.locator(".banner.sign-in")).to_be_visible()
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_a_signed_out_page_can_be_read_and_fits_a_phone(
+    browser: Browser, locked: tuple[DaemonProcess, str], theme: Literal["light", "dark"]
+) -> None:
+    daemon, _ = locked
+    expect.set_options(timeout=PATIENCE_MS)
+    for path in ("", "/sign-in#pair", "/lots?language=de"):
+        with watched_page(browser, viewport=PHONE, color_scheme=theme) as watched:
+            watched.is_expected = REFUSED
+            page = watched.page
+            page.goto(origin_of(daemon.url("")) + path)
+            if "sign-in" in path:
+                expect(page.get_by_label("Code of this screen")).to_have_text(re.compile(r"\d{3} \d{3}"))
+            else:
+                expect(page.locator(".banner.sign-in .button")).to_have_count(2)
+            contrasts = page.evaluate(CONTRASTS)
+            assert len(contrasts) >= 2
+            assert min(contrasts.values()) >= 4.5, contrasts
+            assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+            assert violations(page) == []
+            screenshot(page, f"signed-out-{theme}-{path.strip('/').partition('?')[0] or 'operator'}")
+            watched.assert_clean()
+
+
+def test_a_wall_screen_is_paired_by_its_code_and_only_reads_until_its_key_is_revoked(
+    browser: Browser, watched: Watched, locked: tuple[DaemonProcess, str]
+) -> None:
+    daemon, _ = locked
+    home = origin_of(daemon.url(""))
+    state_dir = daemon.folder / "state"
+    _, boss = create_key(state_dir, "boss", tuple(Scope), None, "root")
+    expect.set_options(timeout=PATIENCE_MS)
+    watched.is_expected = re.compile("status of 40[13]")
+    wall = watched.page
+    wall.goto(f"{home}/lots")
+    wall.locator(".banner.sign-in").get_by_role("link", name="Pair this screen").click()
+    shown = wall.get_by_label("Code of this screen").inner_text()
+    with watched_page(browser, extra_http_headers={"Authorization": f"Bearer {boss}"}) as other:
+        tablet = other.page
+        tablet.goto(f"{home}/setup#screens")
+        tablet.get_by_label("Code").fill("000000" if shown != "000 000" else "000001")
+        tablet.get_by_role("button", name="Find the screen").click()
+        expect(tablet.get_by_role("alert")).to_contain_text("no screen shows this code")
+        other.is_expected = re.compile("status of 404")
+        tablet.get_by_label("Code").fill(shown)
+        tablet.get_by_role("button", name="Find the screen").click()
+        expect(tablet.get_by_text("127.0.0.1")).to_be_visible()
+        expect(tablet.get_by_text("Chrom")).to_be_visible()
+        assert violations(tablet) == []
+        screenshot(tablet, "pairing")
+        tablet.get_by_label("Name of the screen").fill("silo-2")
+        tablet.get_by_role("button", name="Confirm").click()
+        expect(tablet.get_by_text("silo-2 signs itself in")).to_be_visible()
+        other.assert_clean()
+    expect(wall.locator("#who")).to_contain_text("silo-2")  # by itself
+    assert wall.url == f"{home}/lots"
+    refused = wall.evaluate(
+        "fetch('/api/v1/acquisition', {method: 'PUT', headers: {'Content-Type': 'application/json'},"
+        ' body: \'{"state": "disarmed"}\'}).then((answer) => answer.json())'
+    )
+    assert (refused["status"], refused["detail"]) == (
+        403,
+        "key 'silo-2' is a display's, which may only read: sign in with another key",
+    )
+    (cookie,) = wall.context.cookies()
+    assert cookie["expires"] > time.time() + 300 * 24 * 3600
+    wall.goto(home)
+    expect(wall.locator("#ne107")).not_to_be_empty()
+    revoke_key(state_dir, "silo-2", "root")
+    expect(wall.locator(".banner.sign-in")).to_be_visible()  # while its stream was open

@@ -1,12 +1,14 @@
 /** The head of every page: language, theme, full screen, who is signed in, and what must not be missed. */
 
 import { ROOT, get, remove } from "./api.js";
+import { poll } from "./asking.js";
 import { byId, html, setText, show } from "./dom.js";
 import { explained } from "./forms.js";
 import { LANGUAGES, language, loadWords, speak, word } from "./words.js";
 
 const SITE = document.title; // names of plant and instrument, and "stonefall"
 const MOST_HELD_MS = 700;
+const RENEW_S = 3600;
 const THEMES = ["auto", "light", "dark"];
 
 let nAwaited = 0;
@@ -26,8 +28,8 @@ export async function startPage() {
   });
   setTimeout(paint, MOST_HELD_MS);
   show(byId("tools"), html.span({ id: "who" }), languageButton(), themeButton(), document.fullscreenEnabled && fullScreenButton());
-  window.addEventListener("sign-in-needed", () => showBanner("sign-in", word("header.sign-in-needed"), signInLink()));
-  holdPaint(showWho());
+  window.addEventListener("sign-in-needed", () => isSignIn() || showBanner("sign-in", word("header.sign-in-needed"), signInLink(), pairLink()));
+  holdPaint(new Promise((known) => poll(byId("who"), RENEW_S, () => showWho().finally(known)))); // asking renews the session
   holdPaint(get("/overview").then(showOrigin)); // a page that follows the rig calls it again
 }
 
@@ -59,8 +61,10 @@ async function showWho() {
   else if (!scopes.includes("operate")) show(byId("who"), signInLink());
 }
 
-const signInLink = () =>
-  html.a({ class: "button", href: `${ROOT}sign-in?next=${encodeURIComponent(location.pathname + location.search)}` }, word("header.sign-in"));
+const isSignIn = () => location.pathname === `${ROOT}sign-in`;
+const signInAddress = () => `${ROOT}sign-in?next=${encodeURIComponent(location.pathname + location.search + location.hash)}`;
+const signInLink = () => html.a({ class: "button", href: signInAddress() }, word("header.sign-in"));
+const pairLink = () => html.a({ class: "button", href: `${signInAddress()}#pair` }, word("header.pair"));
 
 const button = (text, onclick, attributes = {}) => html.button({ type: "button", onclick, ...attributes }, text);
 

@@ -1,15 +1,16 @@
-/** The page that sets the rig up: four wizards and the webhooks, of which the address names one. */
+/** The page that sets the rig up: four wizards, webhooks and screens, of which the address names one. */
 
 import { byId, html, show } from "./dom.js";
 import { startPage, titled } from "./header.js";
 import { mountCalibration } from "./setup/calibration.js";
 import { mountPlaces } from "./setup/places.js";
 import { mountRecording } from "./setup/recording.js";
+import { mountScreens } from "./setup/screens.js";
 import { mountVerification } from "./setup/verification.js";
 import { mountWebhooks } from "./setup/webhooks.js";
 import { word } from "./words.js";
 
-const WIZARDS = { places: mountPlaces, calibration: mountCalibration, verification: mountVerification, recording: mountRecording, webhooks: mountWebhooks };
+const WIZARDS = { places: mountPlaces, calibration: mountCalibration, verification: mountVerification, recording: mountRecording, webhooks: mountWebhooks, screens: mountScreens };
 
 await startPage();
 window.addEventListener("hashchange", enter);

@@ -11,13 +11,13 @@ from pipeline.frames import rfc3339
 from service.base.schema import OptionalTime, request_body, served
 from service.store.keys import AccessKey
 from service.web.auth import Asker, asker_of, checked_key
-from service.web.context import Context
-from service.web.problems import Problem, problem_responses
+from service.web.clients import Client
+from service.web.context import ApiContext, Context
+from service.web.problems import problem_responses
 from service.web.sessions import (
-    PROXY,
     BrowserSession,
-    is_own_origin,
     require_own_page,
+    require_own_sign_in,
     session_cookie,
     set_session_cookie,
 )
@@ -54,21 +54,30 @@ class SessionDocument:
     """When the session ends unless it is renewed, RFC 3339 UTC; null without one"""
     has_keys: bool
     """Whether there are keys to sign in with; while there is none, only this machine may write"""
+    is_display: bool
+    """Whether it is a wall screen's, which only reads and stays signed in until its key is revoked"""
+    keyless: list[Client]
+    """While there is no key, for whom may make one: clients that asked without, the newest first. They will need one"""
 
 
 @router.post("", response_model=SessionDocument, responses=problem_responses(401, 403, 429))
 async def sign_in(request: Request, response: Response, context: Context, wanted: SignIn) -> SessionDocument:
     """Sign in: exchange the token of a key for a cookie that browsers send, and no script sees.
 
-    It ends when it was not renewed for 12 h, after 30 days, with its key, and by `DELETE`; a restart it outlives. What
+    It ends when it was not renewed for 12 h, after 30 days, with its key, and by `DELETE`; a restart it outlives. That
+    of a wall screen (`is_display`) ends with its key alone, or when its browser did not ask for 400 days. What
     is written with it needs the `Origin` of our own pages. Programs need no session: they send their key. Wrong tokens
     count as everywhere. An `Idempotency-Key` has no effect: a session is never given twice.
     """
-    origin = request.headers.get("origin")
-    if origin is not None and not is_own_origin(request, origin, context.settings):
-        raise Problem(403, "foreign-origin", f"a page of {origin!r} must not sign in here; {PROXY}")
+    require_own_sign_in(request, context.settings)
     context.keys.refresh()
-    key = checked_key(request, context, wanted.token)
+    return await begin_session(request, response, context, checked_key(request, context, wanted.token))
+
+
+async def begin_session(
+    request: Request, response: Response, context: ApiContext, key: AccessKey
+) -> SessionDocument:
+    """Begin a session of a key, put its cookie into the answer, and note it in the audit."""
     now_s = int(time.time())
     session, cookie = context.sessions.begin(key, now_s)
     set_session_cookie(request, response, cookie, session.expires_s - now_s)
@@ -98,6 +107,10 @@ async def session(request: Request, response: Response, context: Context, asking
         scopes=[scope for scope in Scope if scope in asking.scopes],
         expires_at=None,
         has_keys=not context.keys.is_empty,
+        is_display=asking.key is not None and asking.key.is_display,
+        keyless=context.keyless.newest()
+        if context.keys.is_empty and Scope.CONFIGURE in asking.scopes
+        else [],
     )
 
 
@@ -123,4 +136,6 @@ def _document(key: AccessKey, session: BrowserSession) -> SessionDocument:
         scopes=[Scope(each) for each in key.scopes],
         expires_at=expires_at,
         has_keys=True,
+        is_display=key.is_display,
+        keyless=[],
     )

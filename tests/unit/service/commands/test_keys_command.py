@@ -2,19 +2,25 @@
 
 import json
 import os
+import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support.configurations import REPLAY
+from support.daemon_process import free_port
 from typer.testing import CliRunner, Result
 
 from service.base.errors import StoreError
 from service.commands.cli import build_app
+from service.store import open_store
 from service.store.history import DATABASE
 from service.store.keys import FILE, PREFIX, create_key, sha256_of, stored_keys
+from service.store.pairings import Pairing, key_of, note_pairing
+from service.store.schema import connect, connect_reader
 from service.web.settings import Scope
 
 CONFIG = f"""
@@ -30,9 +36,9 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "state"
 
 
-def keys(folder: Path, *arguments: str) -> Result:
+def keys(folder: Path, *arguments: str, input: str | None = None) -> Result:
     config = str(folder.parent / "stonefall.toml")
-    return CliRunner().invoke(build_app(["keys"]), ["keys", *arguments, "--config", config])
+    return CliRunner().invoke(build_app(["keys"]), ["keys", *arguments, "--config", config], input=input)
 
 
 def listed(folder: Path) -> dict[str, dict[str, Any]]:
@@ -167,3 +173,58 @@ def test_what_root_writes_belongs_to_the_daemon(folder: Path, monkeypatch: pytes
     create_key(folder, "mes", (Scope.READ,), None, "root")
     owner = folder.stat()
     assert became == [owner.st_gid, owner.st_uid]
+
+
+CODE = "123456"
+
+
+def waiting(folder: Path, address: str = "192.0.2.9") -> None:
+    """Have a screen wait, as the daemon notes it."""
+    with open_store(folder), closing(connect(folder / DATABASE)) as connection:
+        note_pairing(connection, Pairing(CODE, address, "Wall/1.0", int(time.time())), {CODE})
+
+
+def test_a_screen_is_paired_after_a_look_at_it(folder: Path) -> None:
+    keys(folder, "create", "boss")
+    waiting(folder)
+    refused = keys(folder, "pair", CODE, "--name", "silo-2", input="n\n")
+    assert refused.exit_code != 0 and "shown at 192.0.2.9 by: Wall/1.0" in refused.stdout
+    assert "silo-2" not in listed(folder)
+    done = keys(folder, "pair", CODE, input="y\nsilo-2\n")
+    assert done.exit_code == 0 and "keys revoke silo-2" in done.stdout
+    assert (listed(folder)["silo-2"]["scopes"], listed(folder)["silo-2"]["is_display"]) == (["read"], True)
+    assert "read, display" in keys(folder, "list").stdout
+    again = keys(folder, "pair", CODE, "--name", "other", "--yes")
+    assert again.exit_code != 0 and "no screen shows this code" in str(again.exception)
+    with connect_reader(folder / DATABASE) as connection:
+        assert key_of(connection, CODE) == next(
+            key.sha256 for key in stored_keys(folder) if key.name == "silo-2"
+        )
+
+
+def test_a_role_gives_its_scopes_and_a_taken_name_none(folder: Path) -> None:
+    waiting(folder)
+    assert "no screen shows this code" in str(
+        keys(folder, "pair", "000000", "--name", "a", "--yes").exception
+    )
+    taken = keys(folder, "pair", CODE, "--name", "scada", "--yes")
+    assert "is in the configuration" in str(taken.exception)
+    assert keys(folder, "pair", CODE, "--role", "operator", "--name", "desk", "--yes").exit_code == 0
+    assert (listed(folder)["desk"]["scopes"], listed(folder)["desk"]["is_display"]) == (
+        ["read", "operate"],
+        False,
+    )
+
+
+def test_a_display_has_no_other_scope(folder: Path) -> None:
+    assert keys(folder, "create", "wall", "--display", "--scope", "operate").exit_code != 0
+    assert keys(folder, "create", "wall", "--display").exit_code == 0
+    assert listed(folder)["wall"]["is_display"]
+
+
+def test_the_first_key_says_so_and_the_next_does_not(folder: Path) -> None:
+    config = folder.parent / "stonefall.toml"
+    config.write_text(f"{REPLAY}[api]\nport = {free_port()}\n")
+    said = "this is the first key: from now on every page and program needs one"
+    assert said in keys(folder, "create", "a").stderr
+    assert said not in keys(folder, "create", "b").stderr

@@ -45,7 +45,7 @@ def damage(state_dir: Path, table: str) -> None:
 def test_a_restored_backup_brings_no_key_back_and_takes_none_away(keyed: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy.sqlite"
     with closing(sqlite3.connect(keyed / DATABASE)) as connection, connection:
-        connection.execute("INSERT INTO browser_sessions VALUES ('cookie', 'key', 1, 1)")
+        connection.execute("INSERT INTO browser_sessions VALUES ('cookie', 'key', 1, 1, 0)")
     back_up(keyed, copy)
     revoke_key(keyed, "mes", "root")
     create_key(keyed, "office", ("read",), None, "root")
