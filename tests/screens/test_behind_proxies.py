@@ -180,6 +180,8 @@ def test_what_is_made_is_where_location_says_and_reports_lead_back(proxied: Prox
     page = proxied.ask("GET", api(f"/lots/{lot}/report.html")).text
     address = re.search(rf"https://{NAME}(/[^\s<\"]+)", page)
     assert address is not None and proxied.ask("GET", address[1]).status_code == 200
+    screen = proxied.ask("POST", api("/session/pairing")).json()
+    assert screen["confirm_at"] == f"{proxied.origin}{PREFIX}/setup?code={screen['code']}#screens"
     servers = proxied.ask("GET", api("/openapi.json")).json()["servers"]
     assert [server["url"] for server in servers] == [PREFIX]
 

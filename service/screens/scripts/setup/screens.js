@@ -16,7 +16,7 @@ export function mountScreens(place) {
   const input = { name: "code", value: given, required: true, inputmode: "numeric", pattern: "[0-9]{3} ?[0-9]{3}", maxlength: 7, autocomplete: "off" };
   const form = makeForm("setup.screen-find", find, field("setup.screen-code", input, "setup.screen-code-hint"));
   show(place, html.div({ class: "card step" }, html.h2(word("setup.screen-pair")), html.p(word("setup.screen-what")), form, found));
-  if (given !== "") form.requestSubmit();
+  if (given !== "") form.requestSubmit(form.querySelector("button"));
 }
 
 function showScreen(place, { code, address, user_agent: agent, opened_at: openedAt }, { has_keys: hasKeys, keyless }) {
