@@ -47,7 +47,10 @@ def create(
     ] = None,
     display: Annotated[
         bool,
-        typer.Option(help="For a wall screen: it only reads, and stays signed in until the key is revoked."),
+        typer.Option(
+            "--display",
+            help="For a wall screen: it only reads, and stays signed in until the key is revoked.",
+        ),
     ] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -109,10 +112,8 @@ def pair(
 def list_(config: DaemonConfig, as_json: AsJson = False) -> None:
     """List all keys, those of the configuration as well."""
     settings = load_settings(config)
-    now, shown = (
-        utc_now(),
-        ("created_at", "created_by", "expires_at", "revoked_at", "revoked_by", "is_display"),
-    )
+    now = utc_now()
+    shown = ("is_display", "created_at", "created_by", "expires_at", "revoked_at", "revoked_by")
     configured = [AccessKey(key.sha256, key.name, key.scopes) for key in settings.api.keys]
     keys: list[dict[str, Any]] = [  # without their hashes
         {

@@ -63,9 +63,8 @@ class AccessKey:
     expires_at: GivenTime | None = None
     revoked_at: GivenTime | None = None
     revoked_by: str | None = None
-    is_display: bool = (
-        False  # of a wall screen, which only reads and stays signed in until the key is revoked
-    )
+    is_display: bool = False
+    """Of a wall screen, which only reads and stays signed in until the key is revoked."""
 
     def refusal(self, now: str) -> str | None:
         """Return the reason why the key is not accepted at a time, None if it is."""
