@@ -126,3 +126,10 @@ async def test_every_state_has_an_icon(client: httpx.AsyncClient) -> None:
     for name in ("stonefall", *Ne107):
         icon = await client.get(f"{HOST}{ROOT}/{shown.version}/icons/{name}.svg")
         assert icon.status_code == 200 and icon.headers["Content-Type"].startswith("image/svg+xml")
+
+
+def test_a_script_that_sets_a_title_imports_what_does() -> None:
+    for path, file in installed_screens().files.items():
+        text = file.content.decode() if path.startswith("scripts/") else ""
+        if re.search(r"^\s*titled\(", text, re.MULTILINE):
+            assert re.search(r"^import \{[^}]*\btitled\b", text, re.MULTILINE), path

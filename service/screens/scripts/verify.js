@@ -3,7 +3,7 @@
 import { get, post } from "./api.js";
 import { byId, described, html, setText, show } from "./dom.js";
 import { onSubmit } from "./forms.js";
-import { startPage } from "./header.js";
+import { startPage, titled } from "./header.js";
 import { time, word } from "./words.js";
 
 const MOST_BYTES = 700_000; // in base64 a request has a third more
