@@ -38,7 +38,7 @@ from service.recording.raw_archive import RawArchive
 from service.recording.recordings import Recordings
 from service.remeasuring.remeasuring import Remeasuring
 from service.reports.lot_reports import RigStanding
-from service.reports.report import LastVerification, VerificationOutcome
+from service.reports.report import EndedVerification, VerificationOutcome
 from service.results.fields import Verified
 from service.store.checks import free_bytes
 from service.web.key_ring import KeyRing
@@ -95,7 +95,9 @@ class Daemon:
             Inputs: partial(diagnostic_inputs, self.settings),
             LotsSettings: lambda: self.settings.lots,
             PlantSettings: lambda: self.settings.plant,
-            RigStanding: lambda: rig_standing(self.calibrations, self.settings.plant),
+            RigStanding: lambda: rig_standing(
+                self.calibrations, self.settings.plant, self.settings.measuring.density_kg_m3
+            ),
             Settings: lambda: self.settings,
         }
         if kind in states:
@@ -167,14 +169,16 @@ class Daemon:
         return f"{self.acquisition.state}, {self.spool.n_queued} bundles waiting, last result {last_seq}"
 
 
-def rig_standing(calibrations: Calibrations, plant: PlantSettings) -> RigStanding:
-    """Return the last verification of the rig file in use, whether another one is overdue, and the plant."""
+def rig_standing(
+    calibrations: Calibrations, plant: PlantSettings, density_kg_m3: float | None = None
+) -> RigStanding:
+    """Return the last verification of the rig file in use, whether another one is overdue, plant and density."""
     is_asked = calibrations.verifications.parameters.every_h > 0
     last = calibrations.verifications.last(calibrations.rig_file.calibration_id)
     return RigStanding(
         verification=None
         if last is None
-        else LastVerification(
+        else EndedVerification(
             id=last.id,
             at=last.changed_at,
             outcome=VerificationOutcome(last.state),
@@ -183,4 +187,5 @@ def rig_standing(calibrations: Calibrations, plant: PlantSettings) -> RigStandin
         ),
         is_overdue=is_asked and calibrations.verified in (Verified.OVERDUE, Verified.NEVER),
         plant=plant,
+        density_kg_m3=density_kg_m3,
     )

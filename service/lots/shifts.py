@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime, time, timedelta
+from datetime import UTC, datetime, time, timedelta
 
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
 from service.base.language import Language
@@ -38,17 +38,57 @@ class LotsSettings:
         return MeasuredRange(min_mm=self.min_mm, max_mm=self.max_mm)
 
 
-def shift_at(now: datetime, starts: Sequence[str], ago: int) -> tuple[datetime, datetime]:
-    """Return begin and end of the present shift, or of one so many shifts ago; `now` is a local time.
+NAME = "%Y-%m-%d-%H%M"
+"""Name of a shift: when it begins, by the host's local time."""
+MAX_AGO = 1000
+"""Shifts that can be named, the newest."""
 
-    Local times are kept over a change to or from summer time, on whose day a shift is an hour shorter or longer.
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shift:
+    """A shift; times are local."""
+
+    since: datetime
+    until: datetime
+
+    @property
+    def name(self) -> str:
+        """Name of the shift, such as `2026-03-02-0600`."""
+        return f"{self.since:{NAME}}"
+
+
+def shift_at(now: datetime, starts: Sequence[str], ago: int = 0) -> Shift:
+    """Return the present shift, or the one so many shifts ago; `now` is a local time.
+
+    Local times are kept over a change to or from summer time, on whose day a shift is an hour shorter or longer. A
+    start that the clock skips is an hour later by the clock, one that comes twice is the first; of two starts at one
+    moment there is one.
     """
-    times = sorted(time.fromisoformat(start) for start in starts)
-    days = ago // len(times) + 2
-    begins = [
-        datetime.combine(now.date() + timedelta(days=day), each).astimezone()
-        for day in range(-days, 3)
-        for each in times
-    ]
+    times = sorted({time.fromisoformat(start) for start in starts})
+    days = ago // len(times) + 3  # a day of a change may have a shift less
+    dates = (now.date() + timedelta(days=day) for day in range(-days, 3))
+    begins = sorted({_moment(datetime.combine(date, each)) for date in dates for each in times})
     present = max(number for number, begin in enumerate(begins) if begin <= now)
-    return begins[present - ago], begins[present - ago + 1]
+    return Shift(since=begins[present - ago], until=begins[present - ago + 1])
+
+
+def shifts_before(now: datetime, starts: Sequence[str], n_shifts: int) -> list[Shift]:
+    """Return the present shift and those before it, `n_shifts` in all, the newest first; `now` is a local time."""
+    return [shift_at(now, starts, ago) for ago in range(n_shifts)]
+
+
+def shift_named(name: str, now: datetime, starts: Sequence[str]) -> Shift | None:
+    """Return the shift of a name, None if none has it or it has not begun; `now` is a local time."""
+    try:
+        begin = _moment(datetime.strptime(name, NAME))
+    except (ValueError, OverflowError):
+        return None
+    if not now - timedelta(days=MAX_AGO) <= begin <= now:
+        return None
+    found = shift_at(begin, starts)
+    return found if found.name == name else None
+
+
+def _moment(local: datetime) -> datetime:
+    """Return a local time with its zone; `astimezone` alone takes one that the clock skips for an hour too early."""
+    return datetime.fromtimestamp(local.timestamp(), UTC).astimezone()

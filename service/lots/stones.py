@@ -31,9 +31,19 @@ COLUMNS = ("id", "n_stones", *INDEXED_FIELDS)
 REQUIRED_OF = itemgetter(*REQUIRED)
 Number = TypeVar("Number", float, Values)
 
-FELL = ("stones", "captured_at")
+FELL = ("stones", "stones.captured_at")
 RECORDED = ("stones JOIN results USING (seq)", "json_extract(record, '$.recorded_at')")
 """Rows and their time: when a stone fell, or when its result came."""
+LotCondition = tuple[str, tuple[object, ...]]
+"""SQL that chooses stones by their lot, and its values."""
+ANY_LOT: LotCondition = ("1", ())
+NO_LOT: LotCondition = ("stones.lot IS NULL", ())
+
+
+def of_product(product: str, version: int) -> LotCondition:
+    """Return the choice of the stones of all lots of a version of a product, void ones left out."""
+    lots = "SELECT lot FROM lots WHERE product = ? AND version = ? AND state <> 'void'"
+    return f"stones.lot IN ({lots})", (product, version)
 
 
 class UnknownChoiceError(InvalidRequestError):
@@ -75,6 +85,20 @@ class Stretch:
     n_timed: int  # of these, all but stones that were counted together: when each fell is not known
     n_measured: int
     lot: Lot  # in the order of time; of many stones every so many
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProductCount:
+    """Stones of one outcome that fell in lots of a version of a product, or in none."""
+
+    product: str | None
+    version: int | None
+    is_void: bool  # their lots count no more
+    outcome: str
+    n_stones: int
+    volume_mm3: float
+    is_simulated: bool  # one of them at least
+    is_replay: bool
 
 
 @served
@@ -245,24 +269,43 @@ def lot_of_columns(rows: Sequence[Sequence[float | None]]) -> Lot:
     return Lot(measures=np.array([measures[name] for name in MEASURES]))
 
 
-def stretch(connection: sqlite3.Connection, since: str, until: str, max_stones: int) -> Stretch:
+def stretch(
+    connection: sqlite3.Connection, since: str, until: str, max_stones: int, choice: LotCondition = ANY_LOT
+) -> Stretch:
     """Return the stones from `since` to before `until`, with the measures of up to about `max_stones` of them.
 
     Of a replay, whose stones fell long ago: what had its result then.
     """
     rows, time = _rows_and_time(connection)
-    within = f"FROM {rows} WHERE {time} >= ? AND {time} < ?"
+    condition, values = choice
+    within = f"FROM {rows} WHERE {time} >= ? AND {time} < ? AND {condition}"
     n_stones, n_timed, n_measured = connection.execute(
         "SELECT coalesce(sum(stones.n_stones), 0), coalesce(sum(stones.n_stones = 1), 0),"
         f" coalesce(sum(stones.outcome = 'measured'), 0) {within}",
-        (since, until),
+        (since, until, *values),
     ).fetchone()
     measures = connection.execute(
         f"SELECT {', '.join(f'stones.{column}' for column in MEASURED_COLUMNS)} {within}"
         f" AND stones.outcome = 'measured' AND stones.seq % ? = 0 ORDER BY {time}, stones.seq",
-        (since, until, -(-n_measured // max_stones) or 1),
+        (since, until, *values, -(-n_measured // max_stones) or 1),
     ).fetchall()
     return Stretch(n_stones=n_stones, n_timed=n_timed, n_measured=n_measured, lot=lot_of_columns(measures))
+
+
+def counts_by_product(connection: sqlite3.Connection, since: str, until: str) -> list[ProductCount]:
+    """Count the stones of a time by product and outcome; those of a replay by the time of their result."""
+    rows, time = _rows_and_time(connection)
+    found = connection.execute(
+        "SELECT lots.product, lots.version, coalesce(lots.state = 'void', 0) AS is_void, stones.outcome,"  # noqa: S608 - constants
+        " sum(stones.n_stones) AS n_stones, total(stones.volume_mm3) AS volume_mm3, max(stones.is_simulated) AS"
+        f" is_simulated, max(stones.is_replay) AS is_replay FROM {rows} LEFT JOIN lots ON lots.lot = stones.lot"
+        f" WHERE {time} >= ? AND {time} < ? GROUP BY 1, 2, 3, 4 ORDER BY 1, 2",
+        (since, until),
+    )
+    return [
+        ProductCount(**row | {name: bool(row[name]) for name in ("is_void", "is_simulated", "is_replay")})
+        for row in rows_by_name(found)
+    ]
 
 
 def times_of(connection: sqlite3.Connection, since: str, until: str) -> Values:

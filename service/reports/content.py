@@ -18,7 +18,7 @@ from service.reports.document import (
     facts,
 )
 from service.reports.letterhead import letterhead, signature
-from service.reports.report import GalleryStone, LastVerification, ReportData, VerificationOutcome
+from service.reports.report import EndedVerification, GalleryStone, ReportData, VerificationOutcome
 from service.reports.results import gradation, indices, judged_indices, laboratory, limits, with_interval
 from service.reports.words import LONGEST_HEADING, Words, abridged, words
 
@@ -48,7 +48,9 @@ def document_of(data: ReportData) -> Document:
     )
     return Document(
         language=data.language,
-        letterhead=letterhead(data, say),
+        letterhead=letterhead(
+            data.plant, data.logo_svg, f"/lots/{figures.lot.lot}/report" if figures.lot else None, say
+        ),
         title=say("report.title", name=name),
         subtitle=_subtitle(data, say),
         banners=tuple(banners(data, say)),
@@ -271,7 +273,7 @@ def calibration(data: ReportData, say: Words) -> Section:
     return Section(say("calibration.title"), blocks)
 
 
-def _verification(last: LastVerification, say: Words) -> str:
+def _verification(last: EndedVerification, say: Words) -> str:
     key, error = "calibration.verified_without_error", ""
     if last.error_mm is not None:
         key, error = "calibration.verified", ("+" if last.error_mm > 0 else "") + say.number(last.error_mm, 3)

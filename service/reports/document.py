@@ -135,3 +135,4 @@ class Document:
     footer: str
     page: str  # with {page} and {pages}
     created_at: str  # RFC 3339 UTC
+    is_sheet: bool = False  # it is one page: what is too long is set smaller

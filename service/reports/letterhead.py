@@ -1,21 +1,20 @@
 """Head and foot of a report: plant, instrument, logo and QR code; the signature of instrument and people."""
 
 from service.base.qr import qr_svg
+from service.lots.plant import PlantSettings
 from service.reports.document import Letterhead, Note, Section, Signatures, facts
 from service.reports.report import ReportData
 from service.reports.words import Words, abridged
 from service.web.version import BASE
 
 
-def letterhead(data: ReportData, say: Words) -> Letterhead:
-    """Return the head of the first page."""
-    plant, lot = data.plant, data.figures.lot
+def letterhead(plant: PlantSettings, logo_svg: str | None, path: str | None, say: Words) -> Letterhead:
+    """Return the head of the first page; `path` is where the report is to be seen at the instrument."""
     lines = (say(f"plant.{name}", text=abridged(text)) for name, text in plant.texts.items() if text)
-    path = f"{BASE}/lots/{lot.lot}/report?language={data.language}" if lot else ""
-    address = plant.address(path) if lot else None
+    address = plant.address(f"{BASE}{path}?language={say.language}") if path else None
     return Letterhead(
         lines=tuple(lines),
-        logo_svg=data.logo_svg,
+        logo_svg=logo_svg,
         address=address,
         qr_svg=None if address is None else qr_svg(address),
     )

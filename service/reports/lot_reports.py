@@ -21,7 +21,7 @@ from service.particles.renditions import NotKeptError, stone_png
 from service.reports.csv_file import render_csv
 from service.reports.curve import Beside, curve_svg
 from service.reports.printed import render_html, render_pdf
-from service.reports.report import GalleryReason, GalleryStone, LastVerification, ReportData, ReportFormat
+from service.reports.report import EndedVerification, GalleryReason, GalleryStone, ReportData, ReportFormat
 from service.reports.words import words
 from service.reports.workbook import render_xlsx
 from service.store.particle_files import path_of
@@ -51,9 +51,10 @@ NEAREST = 2
 class RigStanding:
     """Facts about rig and plant that a report states: the last verification, and whether another one is overdue."""
 
-    verification: LastVerification | None
+    verification: EndedVerification | None
     is_overdue: bool  # False where the configuration asks for none
     plant: PlantSettings = field(default_factory=PlantSettings)
+    density_kg_m3: float | None = None  # of stones in no lot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,12 +126,12 @@ def report_data(
         sievings=valid_sievings(connection, lot),
         gallery=_gallery(connection, particles_dir, lot, limits_mm) if has_pictures else (),
         plant=wanted.rig.plant,
-        logo_svg=_logo(wanted.rig.plant),
+        logo_svg=logo_svg(wanted.rig.plant),
         signer=signer,
     )
 
 
-def _logo(plant: PlantSettings) -> str | None:
+def logo_svg(plant: PlantSettings) -> str | None:
     """Return the logo, None if there is none, or none any more: a report does without."""
     with suppress(ValueError):
         return None if plant.logo is None else logo_of(plant.logo)

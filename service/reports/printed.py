@@ -16,7 +16,7 @@ from PIL import Image
 from service.base.language import Language
 from service.base.templates import templates_in
 from service.reports.content import document_of
-from service.reports.document import NamesAndValues
+from service.reports.document import Document, NamesAndValues
 from service.reports.drawing import Drawing, svg
 from service.reports.report import ReportData
 
@@ -33,7 +33,11 @@ MAX_PIXELS = 4_000_000
 
 def render_html(data: ReportData) -> bytes:
     """Return the report as HTML."""
-    document = document_of(data)
+    return html_of(document_of(data))
+
+
+def html_of(document: Document) -> bytes:
+    """Return a document as one HTML file."""
 
     def drawn(drawing: Drawing) -> Markup:
         return Markup(svg(drawing, Language(document.language)))  # noqa: S704 - all texts in it are escaped by svg()
@@ -56,8 +60,13 @@ def svg_uri(svg: str) -> str:
 
 def render_pdf(data: ReportData, font_folder: Path = DEJAVU) -> bytes:
     """Return the report as PDF, in DejaVu Sans if the folder has it, else in the serifs that typst brings."""
-    document = document_of(data)
-    report = json.dumps(document, default=partial(_jsonable, language=data.language), ensure_ascii=False)
+    return pdf_of(document_of(data), font_folder)
+
+
+def pdf_of(document: Document, font_folder: Path = DEJAVU) -> bytes:
+    """Return a document as PDF; `font_folder`: see `render_pdf`."""
+    default = partial(_jsonable, language=Language(document.language))
+    report = json.dumps(document, default=default, ensure_ascii=False)
     pdf = typst.compile(
         TEMPLATES / "page.typ",
         sys_inputs={"report": report.encode("utf-8", "replace").decode()},

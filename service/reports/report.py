@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from service.base.language import Language
+from service.base.schema import Time, served
 from service.lots.figures import LotFigures
 from service.lots.laboratory import StoredSieving
 from service.lots.plant import PlantSettings
@@ -38,15 +39,20 @@ class VerificationOutcome(StrEnum):
     FAILED = "failed"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LastVerification:
-    """The last verification before the end of the lot."""
+@served
+class EndedVerification:
+    """A verification with a ball that has its verdict."""
 
     id: str
-    at: str  # RFC 3339 UTC
+    """Id of the verification."""
+    at: Time
+    """When it ended, RFC 3339 UTC."""
     outcome: VerificationOutcome
-    diameter_mm: float  # of the sphere
-    error_mm: float | None  # mean diameter less the sphere's; None if no ball was measured
+    """Its verdict."""
+    diameter_mm: float
+    """Diameter of the ball, mm."""
+    error_mm: float | None
+    """Mean diameter measured less the ball's, mm; null if no ball was measured."""
 
 
 class GalleryReason(StrEnum):
@@ -81,7 +87,7 @@ class ReportData:
     language: Language = Language.ENGLISH
     software_version: str
     api_version: str
-    verification: LastVerification | None = None
+    verification: EndedVerification | None = None
     is_verification_overdue: bool = False
     uncertainty_remark: str | None = None  # of this rig, beside the statement that every report has
     sievings: Sequence[StoredSieving] = ()

@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 NAMED = (
     *("alarm", "calibration", "camera", "chart", "consumer", "lot", "particle"),
-    *("product", "recording", "report", "sample", "verification", "webhook"),
+    *("product", "recording", "report", "sample", "shift", "verification", "webhook"),
 )
 """What requests name: each has a problem 404 of its own."""
 PROBLEMS = tuple(

@@ -25,9 +25,9 @@ from service.lots.laboratory import Sieving, StoredSieving
 from service.lots.lots import LotDocument, LotState
 from service.lots.plant import PlantSettings
 from service.reports.report import (
+    EndedVerification,
     GalleryReason,
     GalleryStone,
-    LastVerification,
     ReportData,
     VerificationOutcome,
 )
@@ -297,7 +297,7 @@ def report_data(figures: Mapping[str, Any] | None = None, **changes: Any) -> Rep
         created_at="2026-11-20T07:00:03.000Z",
         software_version="0.3.0",
         api_version="1.8.0",
-        verification=LastVerification(
+        verification=EndedVerification(
             id="v-0031",
             at="2026-11-20T05:50:12.000Z",
             outcome=VerificationOutcome.PASSED,

@@ -38,6 +38,7 @@ TAGS = {
     "results": "The feed: every outcome in order, and the consumers that follow it.",
     "particles": "Results one by one or by filter, with meshes and pictures.",
     "lots": "Products, lots and the gradation of lots (EN 933, ASTM C136), in the words of ISA-95.",
+    "shifts": "Shifts by the host's local time, each with a sheet of one page.",
     "trends": "How rate, size and shape of the stones went over the last hours.",
     "diary": "What was done to the crusher, and what has changed since.",
     "laboratory": "Sievings of the laboratory, correlation studies, repeatability (ISO 5725-2).",

@@ -181,8 +181,8 @@ async def shift(
     product: ProductId = None,
 ) -> Response:
     """Get the figures of a shift; `[lots] shift_starts` says when they begin, by the host's local time."""
-    since, until = shift_at(datetime.now(UTC).astimezone(), context.part(LotsSettings).shift_starts, ago)
-    return await _figures(context, rfc3339(since), rfc3339(until), product, measuring)
+    found = shift_at(datetime.now(UTC).astimezone(), context.part(LotsSettings).shift_starts, ago)
+    return await _figures(context, rfc3339(found.since), rfc3339(found.until), product, measuring)
 
 
 def last_minutes(minutes: float) -> tuple[str, str]:

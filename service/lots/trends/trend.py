@@ -14,6 +14,7 @@ from pipeline.gradation.estimates import NOT_MEASURED, Estimate
 from pipeline.gradation.estimators import sample_of, share_percent
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.specification import nearest_mm
+from pipeline.gradation.stones import Lot
 from pipeline.uncertainty.evidence import LENGTH_SD_PERCENT
 from service.base.schema import OptionalTime, Time
 from service.base.status import Report
@@ -130,8 +131,6 @@ def _bucket(
     sieves_mm: Collection[float],
 ) -> TrendBucket:
     found = stretch(connection, since, until, MAX_STONES)
-    sample = sample_of(found.lot, LENGTH_SD_PERCENT / 100)
-    d50 = quantile(sample, 50, Inverse(size_mm=lambda share: exact_mm(sample.lot, share)), measured)
     lasted = datetime.fromisoformat(until) - datetime.fromisoformat(since)
     return TrendBucket(
         since=since,
@@ -139,12 +138,22 @@ def _bucket(
         n_stones=found.n_stones,
         measured=found.n_measured,
         stones_per_min=found.n_timed / (lasted / timedelta(minutes=1)),
-        d50_mm=NOT_MEASURED if d50 is None else d50.size_mm,
         passing_percent={
-            each: passing_percent(sample, each) if each in measured else NOT_MEASURED for each in sieves_mm
+            each: passing_percent(sample_of(found.lot, LENGTH_SD_PERCENT / 100), each)
+            if each in measured
+            else NOT_MEASURED
+            for each in sieves_mm
         },
-        **{name: share_percent(sample, property_of(measured)) for name, property_of in SHARES.items()},
+        **main_figures(found.lot, measured),
     )
+
+
+def main_figures(lot: Lot, measured: MeasuredRange) -> dict[str, Estimate]:
+    """Return `d50_mm`, from the stones themselves, `flakiness_percent` and `shape_percent`."""
+    sample = sample_of(lot, LENGTH_SD_PERCENT / 100)
+    d50 = quantile(sample, 50, Inverse(size_mm=lambda share: exact_mm(sample.lot, share)), measured)
+    shares = {name: share_percent(sample, property_of(measured)) for name, property_of in SHARES.items()}
+    return {"d50_mm": NOT_MEASURED if d50 is None else d50.size_mm, **shares}
 
 
 def _lots(connection: sqlite3.Connection, since: str, until: str) -> list[TrendLot]:

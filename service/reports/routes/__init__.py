@@ -1,5 +1,5 @@
 """Routes of reports, drawings and trends."""
 
-from service.reports.routes import lot_reports, signatures, trends
+from service.reports.routes import lot_reports, shifts, signatures, trends
 
-ROUTERS = (lot_reports.router, signatures.router, trends.router, trends.diary)
+ROUTERS = (lot_reports.router, shifts.router, signatures.router, trends.router, trends.diary)

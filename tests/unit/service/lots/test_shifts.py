@@ -1,11 +1,15 @@
 """Shifts by local time."""
 
+import time
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from service.lots.shifts import LotsSettings, shift_at
+from service.lots.shifts import LotsSettings, shift_at, shift_named, shifts_before
 
 STARTS = ("22:00", "06:00", "14:00")
 
@@ -26,16 +30,63 @@ def at(text: str) -> datetime:
     ],
 )
 def test_a_shift_reaches_from_its_start_to_the_next_one(now: str, ago: int, begin: str, end: str) -> None:
-    assert shift_at(at(now), STARTS, ago) == (at(begin), at(end))
+    found = shift_at(at(now), STARTS, ago)
+    assert (found.since, found.until) == (at(begin), at(end))
 
 
 def test_shifts_follow_one_another() -> None:
     now = datetime.now(UTC).astimezone()
     shifts = [shift_at(now, STARTS, ago) for ago in range(30)]
-    assert all(later[0] == earlier[1] for later, earlier in pairwise(shifts))
-    assert shifts[0][0] <= now < shifts[0][1]
-    begin, end = shift_at(now, ("06:00",), 0)
-    assert timedelta(hours=23) <= end - begin <= timedelta(hours=25)
+    assert all(later.since == earlier.until for later, earlier in pairwise(shifts))
+    assert shifts[0].since <= now < shifts[0].until
+    whole_day = shift_at(now, ("06:00",))
+    assert timedelta(hours=23) <= whole_day.until - whole_day.since <= timedelta(hours=25)
+
+
+@pytest.fixture
+def berlin(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The host's local time is that of Berlin: 02:00 to 03:00 is skipped on 2026-03-29, and twice on 2026-10-25."""
+    monkeypatch.setenv("TZ", "Europe/Berlin")
+    time.tzset()
+    yield
+    monkeypatch.undo()
+    time.tzset()
+
+
+@pytest.mark.usefixtures("berlin")
+@given(
+    starts=st.lists(
+        st.sampled_from(("00:00", "01:59", "02:00", "02:30", "02:59", "03:00", "03:30", "14:00")), min_size=1
+    ),
+    day=st.sampled_from(("2026-03-29", "2026-10-25")),
+    minutes=st.integers(0, 48 * 60),
+)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_shifts_part_the_days_on_which_the_clock_is_changed(
+    starts: list[str], day: str, minutes: int
+) -> None:
+    """Each moment is in one shift, whose name finds it, whichever start the clock skips or repeats."""
+    now = (datetime.fromisoformat(day).astimezone(UTC) + timedelta(minutes=minutes)).astimezone()
+    shifts = shifts_before(now, starts, 3 * len(starts) + 3)
+    assert shifts[0].since <= now < shifts[0].until
+    assert all(later.since == earlier.until > earlier.since for later, earlier in pairwise(shifts))
+    assert [shift_named(each.name, now, starts) for each in shifts] == shifts
+
+
+@pytest.mark.usefixtures("berlin")
+def test_a_skipped_start_is_after_the_change_and_a_repeated_one_is_the_first() -> None:
+    skipped = shift_at(datetime(2026, 3, 29, 12, tzinfo=UTC).astimezone(), ("02:30", "14:30"))
+    assert (skipped.name, skipped.since) == ("2026-03-29-0330", datetime(2026, 3, 29, 1, 30, tzinfo=UTC))
+    repeated = shift_at(datetime(2026, 10, 25, 12, tzinfo=UTC).astimezone(), ("02:30", "14:30"))
+    assert repeated.since == datetime(2026, 10, 25, 0, 30, tzinfo=UTC)
+    assert repeated.until - repeated.since == timedelta(hours=13)
+
+
+def test_no_other_name_is_that_of_a_shift() -> None:
+    now = at("2026-03-02T07:00")
+    assert shift_named("2026-03-02-0600", now, STARTS) == shift_at(now, STARTS)
+    for other in ("2026-03-02-0700", "2026-03-02-1400", "1900-01-01-0600", "today", "2026-13-01-0600", ""):
+        assert shift_named(other, now, STARTS) is None
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from pipeline.gradation.indices import INDICES
 from pipeline.gradation.specification import Verdict
 from pipeline.views.quality import Quality
 from service.base.language import Language
+from service.health.alarms.rules import Priority
 from service.lots.lots import LotState
 from service.lots.plant import PlantSettings
 from service.lots.trends.changes import ChangedFigure
@@ -27,10 +28,13 @@ from service.lots.trends.diary import DiaryKind
 from service.reports.budget import COLUMNS
 from service.reports.content import lot_section
 from service.reports.report import GalleryReason, VerificationOutcome
+from service.reports.shift_sheet import COLUMNS as SHIFT_LISTS
 from service.reports.trend import TrendFigure
 from service.reports.words import words
 from service.results.fields import LossReason, NotRefined, Outcome
 
+SHIFT_HEADS = {head for columns in SHIFT_LISTS.values() for head, *_ in columns}
+SHIFT_COUNTED = ["d50_mm", "flakiness_percent", "shape_percent"]
 SOURCES = Path(__file__).parents[4] / "service" / "reports"
 ENGLISH, GERMAN = words(Language.ENGLISH), words(Language.GERMAN)
 FAMILIES = {
@@ -58,6 +62,8 @@ FAMILIES = {
     "amount": list(ChangedFigure),
     "trend": list(TrendFigure),
     "plant": list(PlantSettings().texts),
+    "priority": list(Priority),
+    "shift": [*SHIFT_LISTS, *(f"no_{each}" for each in SHIFT_LISTS), *SHIFT_HEADS, *SHIFT_COUNTED],
     "accounting": [
         "unmeasured_expected_percent",
         "unmeasured_at_most_percent",
