@@ -66,6 +66,11 @@ class PlantSettings:
         """What a report says of the plant, by the names of the settings."""
         return {name: getattr(self, name) for name in ("plant", "line", "instrument_serial", "laboratory")}
 
+    @property
+    def rig(self) -> str | None:
+        """Plant, line and instrument in one line; None where none is given."""
+        return ", ".join(text for text in (self.plant, self.line, self.instrument_serial) if text) or None
+
     def address(self, path: str) -> str | None:
         """Return the address of a path at the instrument, None if people do not reach it."""
         return None if self.base_url is None else self.base_url.rstrip("/") + quote(path, safe="/?=&")

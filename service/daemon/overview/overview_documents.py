@@ -173,6 +173,9 @@ class OverviewDocument(BaseModel):
 
     at: Time = Field(description="The moment, RFC 3339 UTC")
     instance_id: str = Field(description="Identity of the history of results, as in `/results`")
+    rig: str | None = Field(
+        description="Plant, line and serial number of `[plant]`; null where none is given"
+    )
     is_simulated: bool = Field(description="True when the images of this run of the daemon are synthetic")
     is_replay: bool = Field(description="True when no stone falls: a recording is played, or simulated")
     acquisition: OverviewAcquisition = Field(description="State of the rig")

@@ -41,6 +41,7 @@ from service.health.alarms.rules import Priority
 from service.health.facts import Facts
 from service.lots.shifts import LotsSettings
 from service.lots.yardsticks import Request
+from service.reports.lot_reports import RigStanding
 from service.store import Store, read
 from service.web.control import Control
 from service.web.reader_process import Reading
@@ -183,6 +184,7 @@ def _document(
     return OverviewDocument(
         at=utc_now(),
         instance_id=store.instance_id,
+        rig=control.part(RigStanding).plant.rig,
         is_simulated=rows.is_simulated,
         is_replay=rows.is_replay,
         acquisition=OverviewAcquisition(**dict(facts.acquisition)),

@@ -61,6 +61,13 @@ export function svgFromServer(text) {
   return document.importNode(root, true);
 }
 
+/** Return what the document that this server sent as text has, with its style, to be put into a shadow root; no script of it runs. */
+export function htmlFromServer(text) {
+  const main = new DOMParser().parseFromString(text, "text/html").querySelector("main");
+  const style = main.ownerDocument.querySelector("style");
+  return [document.importNode(style, true), html.div({ class: main.className }, [...document.importNode(main, true).childNodes])];
+}
+
 /** Put `children`, lists of them flattened and null and false left out, in the place of what is in `place`. */
 export const show = (place, ...children) => place.replaceChildren(...children.flat(Infinity).filter((child) => !isNothing(child)));
 

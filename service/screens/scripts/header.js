@@ -4,7 +4,7 @@ import { ROOT, get, remove } from "./api.js";
 import { poll } from "./asking.js";
 import { byId, html, setText, show } from "./dom.js";
 import { explained } from "./forms.js";
-import { LANGUAGES, language, loadWords, speak, word } from "./words.js";
+import { LANGUAGES, language, loadWords, locale, speak, word } from "./words.js";
 
 const SITE = document.title; // names of plant and instrument, and "stonefall"
 const MOST_HELD_MS = 700;
@@ -30,6 +30,8 @@ export async function startPage() {
   show(byId("tools"), html.span({ id: "who" }), languageButton(), themeButton(), document.fullscreenEnabled && fullScreenButton());
   window.addEventListener("sign-in-needed", () => isSignIn() || showBanner("sign-in", word("header.sign-in-needed"), signInLink(), pairLink()));
   holdPaint(new Promise((known) => poll(byId("who"), RENEW_S, () => showWho().finally(known)))); // asking renews the session
+  window.addEventListener("beforeprint", notePrint);
+  notePrint();
   holdPaint(get("/overview").then(showOrigin)); // a page that follows the rig calls it again
 }
 
@@ -39,11 +41,12 @@ export const titled = (text) => (document.title = `${text} – ${SITE}`);
 /** Say why the page does not show what was asked for. */
 export const showProblem = (error) => setText(byId("problem"), explained(error));
 
-/** Say at the top of the page whether what it shows fell, or is made up or played, and in its tab in which state the rig is. */
-export function showOrigin({ is_simulated: isSimulated, is_replay: isReplay, ne107 }) {
+/** Say at the top of the page whether what it shows fell, or is made up or played, in its tab in which state the rig is; and on a print, of which rig it is. */
+export function showOrigin({ is_simulated: isSimulated, is_replay: isReplay, ne107, rig }) {
   const icon = new URL(`../icons/${ne107}.svg`, import.meta.url).href;
   const link = document.querySelector("link[rel=icon]");
   if (link.href !== icon) link.href = icon;
+  setText(byId("printed-rig"), rig ?? "");
   showBanner("origin", isSimulated ? word("header.simulated") : isReplay ? word("header.replayed") : null);
 }
 
@@ -54,6 +57,9 @@ export function showBanner(name, text, ...more) {
   before?.remove();
   if (text !== null) byId("banners").append(html.p({ class: `banner ${name}`, "data-name": name }, html.strong(text), more));
 }
+
+/** Write on a print when it is made. */
+const notePrint = () => setText(byId("printed-at"), new Date().toLocaleString(locale(), { dateStyle: "full", timeStyle: "long" }));
 
 async function showWho() {
   const { who, scopes } = await get("/session").catch(() => ({ who: null, scopes: [] }));

@@ -46,6 +46,7 @@ PAGES = {
     "/": Page("operator", style="operator", section="/"),
     "/lots": Page("lots", style="lots", section="/lots"),
     "/laboratory": Page("laboratory", style="lots", section="/lots"),
+    "/shift": Page("shift", style="shift", section="/"),
     "/gallery": Page("gallery", style="stones", section="/gallery"),
     "/compare": Page("compare", style="stones", section="/compare"),
     "/setup": Page("setup", style="setup", section="/setup"),
