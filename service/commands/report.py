@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated
+from urllib.parse import quote
 
 import typer
 
@@ -13,6 +14,7 @@ from drivers.files.durable import write_file
 from drivers.files.times import utc_now
 from service.base.errors import ServiceError, UsageError
 from service.base.language import Language
+from service.commands.daemon_client import DEFAULT_URL, DaemonClient, Url
 from service.commands.options import SizeOptions, with_options
 from service.commands.results_folder import read_results
 from service.configuration.settings import load_settings
@@ -33,6 +35,9 @@ from service.reports.signatures import (
 )
 from service.web.version import API_VERSION
 
+NAMED_SHIFTS = ("now", "last")
+"""Words for the two newest shifts, in their order."""
+
 
 @dataclass(frozen=True, slots=True)
 class ReportedProduct(SizeOptions):
@@ -43,6 +48,44 @@ class ReportedProduct(SizeOptions):
     sieve_set: Annotated[str, typer.Option("--sieves", help="Name of a sieve set.")] = "stonefall"
 
 
+@dataclass(frozen=True, slots=True)
+class CheckedReport:
+    """Options of the check of a signed report."""
+
+    verify: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Check the signature of this PDF instead.")
+    ] = None
+    key: Annotated[
+        str | None,
+        typer.Option(
+            help="With --verify: the instrument's key: its fingerprint, the public key, or a file with the answer of"
+            " GET /instrument/key."
+        ),
+    ] = None
+    config: Annotated[
+        Path | None, typer.Option(help="With --verify: TOML file of the daemon, whose keys are relied on.")
+    ] = None
+
+
+@dataclass(frozen=True, slots=True)
+class WantedSheet:
+    """Options of the sheet of a shift."""
+
+    shift: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Write the sheet of this shift of a running daemon instead, PDF and HTML: 2026-03-02-0600, `now`, or"
+            " `last` for the one that has ended.",
+        ),
+    ] = None
+    url: Url = DEFAULT_URL
+    token: Annotated[
+        str | None,
+        typer.Option(help="With --shift: token of a key.", envvar="STONEFALL_KEY", show_envvar=True),
+    ] = None
+
+
 @with_options
 def command(
     product: ReportedProduct,
@@ -51,29 +94,23 @@ def command(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for report.html, .pdf, .csv and .xlsx.")] = None,
     language: Annotated[Language, typer.Option(help="Language of the report.")] = Language.ENGLISH,
-    verify: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Check the signature of this PDF instead.")
-    ] = None,
-    key: Annotated[
-        str | None,
-        typer.Option(
-            help="With --verify: the instrument's key: its fingerprint, the public key, or a file with the answer of"
-            " GET /instrument/key."
-        ),
-    ] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="With --verify: TOML file of the daemon, whose keys are relied on.")
-    ] = None,
+    *,
+    checked_report: CheckedReport,
+    sheet: WantedSheet,
 ) -> None:
     """Write the report of measured results: curve with its interval, indices, verdict, accounting.
 
-    With --verify: check a report that an instrument signed, and exit with 1 unless a key that is known signed it.
+    With --shift: write the sheet of a shift. With --verify: check a report that an instrument signed, and exit with 1
+    unless a key that is known signed it.
     """
-    if verify is not None:
-        _verify(verify, key, config)
+    if sheet.shift is not None:
+        _write_sheet(DaemonClient(sheet.url, sheet.token), sheet.shift, out, language)
+        return
+    if checked_report.verify is not None:
+        _verify(checked_report.verify, checked_report.key, checked_report.config)
         return
     if results is None or out is None:
-        raise UsageError("RESULTS and --out are needed, or --verify FILE")
+        raise UsageError("RESULTS and --out are needed, or --shift NAME, or --verify FILE")
     defined = Product(product=product.title, version=1, created_at=utc_now(), **asdict(product))
     try:
         figures = figures_of(stones_in(read_results(results)), Request(), defined)
@@ -94,6 +131,22 @@ def command(
         raise ServiceError(f"--out {out}: {err.strerror}") from err
     verdict = "" if figures.verdict is None else f": {figures.verdict.replace('_', ' ')}"
     typer.echo(f"{out}: report of {figures.measured} stones{verdict}")
+
+
+def _write_sheet(daemon: DaemonClient, shift: str, out: Path | None, language: Language) -> None:
+    """Write the sheet of a shift into a folder."""
+    if out is None:
+        raise UsageError("--out is needed with --shift")
+    if shift in NAMED_SHIFTS:
+        shift = daemon.ask("/shifts?limit=2")["items"][NAMED_SHIFTS.index(shift)]["shift"]
+    for kind in ("html", "pdf"):
+        content = daemon.fetch(f"/shifts/{quote(shift, safe='')}/sheet.{kind}?language={language}")
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            write_file(out / f"shift-{shift}.{kind}", content)
+        except OSError as err:
+            raise ServiceError(f"--out {out}: {err.strerror}") from err
+    typer.echo(f"{out}: sheet of the shift {shift}")
 
 
 def _verify(file: Path, key: str | None, config: Path | None) -> None:

@@ -29,6 +29,7 @@ from service.configuration.rig_checks import rig_problems
 from service.configuration.rig_settings import BACKENDS, RigSettings
 from service.configuration.segmentation_settings import SegmentationSettings, plan_segmenter
 from service.configuration.volume_models import MeasuringSettings
+from service.delivery.mail import MailSettings
 from service.delivery.settings import FileDropSettings, WebhooksSettings, delivery_shortcomings
 from service.health.optical_watch import OpticalParameters
 from service.lots.plant import PlantSettings, logo_of
@@ -113,6 +114,7 @@ class Settings(BaseModel):
     api: ApiSettings = ApiSettings()
     webhooks: Live[WebhooksSettings] = WebhooksSettings()
     file_drop: FileDropSettings | None = None
+    mail: MailSettings | None = None
 
     @property
     def pipeline(self) -> PipelineParameters:
@@ -199,6 +201,12 @@ def shortcomings(settings: Settings) -> Iterator[str]:
     except StoreError as err:
         yield f"api.keys: {err}: no key of the store is accepted"
     yield from delivery_shortcomings(settings.webhooks, settings.file_drop)
+    if settings.mail is not None:
+        for read in (settings.mail.password, settings.mail.context):
+            try:
+                read()
+            except ValueError as err:
+                yield f"mail.{err}"
 
 
 def _name_of(loc: tuple[int | str, ...]) -> str:

@@ -15,16 +15,18 @@ from service.configuration.segmentation_settings import plan_segmenter
 from service.daemon.alarming import acquisition_changed, verification_ended
 from service.daemon.heartbeats import Heartbeats, Watched
 from service.daemon.loop_watch import LoopWatch
-from service.daemon.lot_files import issued_reports
+from service.daemon.lot_files import files_maker, issued_reports
 from service.daemon.overview.overviews import KeptFigures
 from service.daemon.overview.result_delays import ResultDelays
-from service.daemon.parts import parts_of
+from service.daemon.parts import Deliveries, parts_of
 from service.daemon.reloading import Configuration
 from service.daemon.retaining import Retaining
 from service.daemon.running_daemon import Daemon, Watches
 from service.daemon.session import Session, begin_session
+from service.daemon.shift_sheets import sheets_drop, sheets_maker
 from service.daemon.stopping import StopRequests
 from service.delivery.file_drop import open_file_drop
+from service.delivery.mail import Mail
 from service.delivery.webhooks import open_webhooks
 from service.health.alarms.alarms import open_alarms
 from service.health.optical_watch import OpticalWatch
@@ -117,8 +119,15 @@ async def build(configured: Configuration, store: Store, reading: Reading, reque
         webhooks=await open_webhooks(store, settings.webhooks),
     )
     file_drop = await open_file_drop(store, settings.file_drop)
-    drops = (file_drop, issued_reports(store))
-    daemon.parts.extend(parts_of(daemon, drops, reading, requests))
+    deliveries = Deliveries(
+        drops=(
+            (file_drop, files_maker),
+            (issued_reports(store), files_maker),
+            (sheets_drop(store, settings.file_drop), sheets_maker),
+        ),
+        mail=Mail(store, settings.mail),
+    )
+    daemon.parts.extend(parts_of(daemon, deliveries, reading, requests))
     return daemon
 
 

@@ -119,6 +119,8 @@ def note_issued(state_dir: Path, connection: Connection, lot: str, files: LotFil
     The key that signed the report is noted.
     """
     note_key(connection, instrument_key(state_dir).public_key)
+    if files.revision is None:
+        return
     completion = LotCompletion(
         **files.outcome,
         revision=files.revision,

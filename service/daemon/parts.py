@@ -3,22 +3,26 @@
 import asyncio
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 from service.acquisition.acquisition import Acquisition
 from service.daemon.alarming import Alarming
 from service.daemon.backing_up import BackingUp
-from service.daemon.lot_files import files_maker
 from service.daemon.part import Part, Running
 from service.daemon.product_watch import ProductWatch
 from service.daemon.running_daemon import Daemon
 from service.daemon.session import lose_all_crashed
+from service.daemon.shift_sheets import ShiftWatch, letter_writer
 from service.daemon.stopping import StopRequests
-from service.delivery.file_drop import FileDrop
+from service.delivery.file_drop import FileDrop, MakeFiles
+from service.delivery.mail import Mail
 from service.recording.raw_archive import RawArchive
+from service.store import Store
 from service.store.checks import store_checks
 from service.store.event_log import EventLog
+from service.web.control import Control
 from service.web.reader_process import Reading
 
 log = logging.getLogger(__name__)
@@ -33,9 +37,15 @@ ARCHIVE_S = 5.0
 """Longest wait for frames that are still to be archived, which no result needs."""
 
 
-def parts_of(
-    daemon: Daemon, drops: Sequence[FileDrop], reading: Reading, requests: StopRequests
-) -> list[Part]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Deliveries:
+    """What writes files into folders, each with what makes them, and what sends mail."""
+
+    drops: Sequence[tuple[FileDrop, Callable[[Store, Control, Reading], MakeFiles]]]
+    mail: Mail
+
+
+def parts_of(daemon: Daemon, deliveries: Deliveries, reading: Reading, requests: StopRequests) -> list[Part]:
     """Return the parts in the order in which they start; they end in reverse order.
 
     What keeps and delivers results ends after what makes them, which ends after the rig: a stop loses nothing that it
@@ -48,7 +58,8 @@ def parts_of(
     alarming = Alarming(daemon.alarms, session.events)
     backing_up = BackingUp(store, session.settings.store)
     watch = ProductWatch(store, daemon)
-    make_files = files_maker(store, daemon, reading)
+    shifts = ShiftWatch(store, daemon)
+    write = letter_writer(store, daemon, reading)
     return [
         Part(run=watches.loop.run, checks=watches.loop.checks),
         Part(run=partial(alarming.run, daemon.health), close=partial(_end_alarming, session.events)),
@@ -56,7 +67,12 @@ def parts_of(
         Part(run=backing_up.run, checks=backing_up.checks, use=lambda new: backing_up.use(new.store)),
         Part(run=retaining.run, checks=retaining.checks, use=lambda new: retaining.use(new.store.retention)),
         Part(run=daemon.webhooks.run, checks=daemon.webhooks.checks),
-        *(Part(run=partial(each.run, make_files), checks=each.checks) for each in drops),
+        *(
+            Part(run=partial(drop.run, maker(store, daemon, reading)), checks=drop.checks)
+            for drop, maker in deliveries.drops
+        ),
+        Part(run=partial(deliveries.mail.run, write), checks=deliveries.mail.checks),
+        Part(run=shifts.run),
         Part(run=watch.run, checks=watch.checks),
         Part(
             run=partial(lose_all_crashed, store, session.left),

@@ -1,7 +1,8 @@
-"""Write files of closed lots into a folder, each revision of a lot once; what could not be written is made up for.
+"""Write files into a folder, of each revision of a closed lot once; what could not be written is made up for.
 
 Which revision of a lot is written is noted in the store after its files are durable: after a crash in between they are
-written again, under the same names. Files of `[file_drop]` and issued reports, which complete a lot, come about so.
+written again, under the same names. Files of `[file_drop]`, issued reports, which complete a lot, and
+sheets of shifts come about so.
 """
 
 import asyncio
@@ -9,7 +10,7 @@ import logging
 import sqlite3
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,13 +36,14 @@ ANSWER_S = 30.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LotFiles:
-    """The files of a lot, made at one moment."""
+    """The files of a lot, or of a shift, made at one moment."""
 
-    revision: int
+    revision: int | None
+    """Revision of the lot, which their names end with; None: there is but one."""
     content: Mapping[DropFormat, bytes]
-    outcome: Mapping[str, Any]
+    outcome: Mapping[str, Any] = field(default_factory=dict)
     """Verdict and counts of the lot, for what is noted of them."""
-    figures: Mapping[str, Any]
+    figures: Mapping[str, Any] = field(default_factory=dict)
     """Figures that control charts follow, as JSON has them."""
 
 
@@ -59,6 +61,8 @@ class Purpose:
     """Reads the lots whose revision is not written, oldest first; True: all stones have outcomes, so it may be."""
     note: Callable[[sqlite3.Connection, str, LotFiles], None]
     """Notes within a transaction that files of a lot are durable."""
+    thing: str = "lot"
+    """What the names are of."""
 
 
 async def open_file_drop(store: Store, settings: FileDropSettings | None) -> "FileDrop":
@@ -112,7 +116,7 @@ class FileDrop:
                 try:
                     await self._drop(settings, lot, make_files)
                 except ServiceError as err:  # of this lot; the others are written
-                    troubles.append(f"lot {lot}: {err}")
+                    troubles.append(f"{self._purpose.thing} {lot}: {err}")
         except StoreError as err:
             troubles.append(str(err))
         except OSError as err:
@@ -130,10 +134,8 @@ class FileDrop:
         files = await make_files(lot, settings)
         if files is None:
             return
-        by_path = {
-            settings.dir / f"{lot}-{files.revision}.{each}": content
-            for each, content in files.content.items()
-        }
+        stem = lot if files.revision is None else f"{lot}-{files.revision}"
+        by_path = {settings.dir / f"{stem}.{each}": content for each, content in files.content.items()}
         writing = start_abandonable(
             "file drop", partial(write_files, is_first=self._is_first), settings, by_path
         )
@@ -143,7 +145,7 @@ class FileDrop:
         writing.result()
         self._is_first = False
         await self._store.write(self._purpose.note, lot, files)
-        log.info("files of a lot written lot=%s revision=%d dir=%s", lot, files.revision, settings.dir)
+        log.info("files written name=%s dir=%s", stem, settings.dir)
 
 
 def write_files(settings: FileDropSettings, files: Mapping[Path, bytes], *, is_first: bool) -> None:

@@ -173,6 +173,7 @@ class FileDropSettings:
     dir: ConfiguredPath
     formats: tuple[DropFormat, ...] = (DropFormat.CSV,)
     language: Language | None = None  # of PDF and workbook; that of issued reports when absent
+    shift_sheets: bool = False  # also the sheet of each shift, as PDF
     must_be_mounted: bool = False  # nothing is written while no file system is mounted at `dir`
 
     def __post_init__(self) -> None:

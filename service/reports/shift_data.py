@@ -319,7 +319,7 @@ def _verifications(connection: sqlite3.Connection, since: str, until: str) -> li
 
 
 def _stops(connection: sqlite3.Connection, since: str, until: str, stop_min: float) -> Iterator[ShiftStop]:
-    """Yield the times without a stone, the newest `MOST`; what each session began unarmed with counts as unarmed."""
+    """Yield the newest `MOST` times without a stone."""
     begin_s, end_s = (datetime.fromisoformat(each).timestamp() for each in (since, until))
     times_s = [begin_s, *times_of(connection, since, until), end_s]
     long = [(before, after) for before, after in pairwise(times_s) if after - before > 60 * stop_min]
@@ -332,11 +332,15 @@ def _stops(connection: sqlite3.Connection, since: str, until: str, stop_min: flo
 
 
 def _unarmed(connection: sqlite3.Connection, since: str, until: str) -> list[tuple[float, float]]:
-    """Return the times in which the rig was not armed, as far as events tell, in seconds since 1970."""
+    """Return the times in which the rig was not armed, as far as events tell, in seconds since 1970.
+
+    No rig was armed before the first session, nor is one when a session starts.
+    """
     rows = connection.execute(
         "SELECT at, data ->> 'state' FROM events WHERE type = ?1 AND at < ?3 AND seq >= coalesce((SELECT max(seq)"
         " FROM events WHERE type = ?1 AND at <= ?2), 0) UNION ALL"
-        " SELECT started_at, ?4 FROM sessions WHERE started_at > ?2 AND started_at < ?3 ORDER BY 1",
+        " SELECT started_at, ?4 FROM sessions WHERE started_at > ?2 AND started_at < ?3 UNION ALL"
+        " SELECT ?2, ?4 WHERE NOT EXISTS (SELECT 1 FROM sessions WHERE started_at <= ?2) ORDER BY 1",
         (EventType.ACQUISITION_CHANGED, since, until, AcquisitionState.DISARMED),
     ).fetchall()
     states = [(datetime.fromisoformat(at).timestamp(), state) for at, state in (*rows, (until, None))]

@@ -93,12 +93,19 @@ class SheetRequest:
 
 def sheet_file(connection: sqlite3.Connection, wanted: SheetRequest, report_format: ReportFormat) -> bytes:
     """Return the sheet of a shift as a file, in one of the formats of `SHEETS`."""
+    return SHEETS[report_format](sheet_data(connection, wanted))
+
+
+def sheet_data(connection: sqlite3.Connection, wanted: SheetRequest) -> SheetData:
+    """Return all that the sheet of a shift prints."""
     plant = wanted.rig.plant
-    sheet = shift_sheet(connection, wanted.figures)
-    data = SheetData(
-        sheet=sheet, created_at=utc_now(), language=wanted.language, plant=plant, logo_svg=logo_svg(plant)
+    return SheetData(
+        sheet=shift_sheet(connection, wanted.figures),
+        created_at=utc_now(),
+        language=wanted.language,
+        plant=plant,
+        logo_svg=logo_svg(plant),
     )
-    return SHEETS[report_format](data)
 
 
 def sheet_document(data: SheetData) -> Document:

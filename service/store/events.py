@@ -46,6 +46,8 @@ class EventType(StrEnum):
     """The NE 107 word of the device is another one."""
     PRODUCT_DRIFTING = "product.drifting"
     """The product's newest lot is out of control, and the one before was not."""
+    SHIFT_ENDED = "shift.ended"
+    """A shift is over, and all stones that fell in it have outcomes."""
     DIARY_NOTED = "diary.noted"
     """The plant has noted what it did to the crusher."""
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import asdict, replace
+from datetime import UTC, datetime
 from typing import Any
 
 import jsonschema_rs
@@ -14,10 +15,12 @@ from service.calibration.files import Activation
 from service.calibration.verifications import Verification, VerificationState
 from service.daemon.alarming import LASTING_S, Alarming, acquisition_changed, verification_ended
 from service.daemon.rest.openapi import openapi_text
+from service.daemon.shift_sheets import note_end
 from service.delivery.posting import message_of, trial_message
 from service.health.alarms.alarms import open_alarms
 from service.lots.lots import LotDefinition, close_lot, open_lot, void_lot
 from service.lots.products import ProductDefinition, save_product
+from service.lots.shifts import shift_at
 from service.lots.trends.control_documents import DriftedFigure, ProductDrift
 from service.lots.trends.diary import DiaryKind, DiaryRequest, note_entry
 from service.store import Store
@@ -43,6 +46,7 @@ async def events_of_all_kinds(store: Store) -> list[dict[str, Any]]:
     await store.write(close_lot, "L1", 24.5, "test")
     await store.write(void_lot, "L1", "wrong belt", "test")
     await store.write(note_entry, DiaryRequest(kind=DiaryKind.GAP, value=25.0), "test")
+    await store.write(note_end, shift_at(datetime.now(UTC).astimezone(), ("06:00",), 1), is_told=True)
     log = EventLog(store)
     alarming = Alarming(await open_alarms(store, log), log)
     alarming.look(GOOD_HEALTH, 0.0)

@@ -15,6 +15,7 @@ from service.health.routes import AlarmDocument, HealthDocument
 from service.lots.lots import LotDocument
 from service.lots.trends.control_documents import ProductDrift
 from service.lots.trends.diary import DiaryEntry
+from service.reports.shift_data import ShiftDocument
 from service.store.events import EventType
 from service.web.openapi_parts import header_references
 
@@ -80,6 +81,7 @@ DETAILS: dict[str, tuple[dict[str, Any], Sequence[EventType]]] = {
     ),
     "DriftDetails": (_details("Details of `product.drifting`.", ProductDrift), [EventType.PRODUCT_DRIFTING]),
     "DiaryDocument": (_schema(DiaryEntry), [EventType.DIARY_NOTED]),
+    "ShiftDocument": (_schema(ShiftDocument), [EventType.SHIFT_ENDED]),
     "HealthDetails": (
         _details(
             "Details of `health.changed`.",

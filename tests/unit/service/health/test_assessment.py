@@ -152,6 +152,8 @@ def test_a_healthy_rig_is_good_and_ready_and_its_checks_are_in_the_order_of_thei
             "webhooks",
             "file_drop",
             "issued_reports",
+            "shift_sheets",
+            "mail",
             "configuration",
         ),
         *("rig", "optics", "refinement", "conformity", "drift", "feed"),
