@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
+from scipy.stats import chi2
 
 from pipeline.schema import SCHEMA
 
@@ -26,6 +27,10 @@ class Repeatability:
     """All runs."""
     repeatability_sd: float
     """s_r: of runs under equal conditions."""
+    repeatability_sd_low: float
+    """Lower end of the 95 % interval of s_r, by chi-square with as many degrees of freedom as runs less groups."""
+    repeatability_sd_high: float
+    """Upper end of it."""
     between_sd: float | None
     """s_L: between groups, beyond what s_r explains; null with one."""
     reproducibility_sd: float | None
@@ -58,12 +63,16 @@ def repeatability(groups: Sequence[Sequence[float]]) -> Repeatability:
         typical_number = (n_runs - float(np.sum(numbers**2)) / n_runs) / (n_groups - 1)
         between_sd = sqrt(max((of_means - within) / typical_number, 0.0))
     repeatability_sd = sqrt(within)
+    freedom = n_runs - n_groups
+    low, high = (repeatability_sd * sqrt(freedom / chi2.ppf(share, freedom)) for share in (0.975, 0.025))
     reproducibility_sd = None if between_sd is None else sqrt(between_sd**2 + within)
     return Repeatability(
         mean=mean,
         n_groups=n_groups,
         n_runs=int(n_runs),
         repeatability_sd=repeatability_sd,
+        repeatability_sd_low=float(low),
+        repeatability_sd_high=float(high),
         between_sd=between_sd,
         reproducibility_sd=reproducibility_sd,
         repeatability_limit=LIMIT_FACTOR * repeatability_sd,

@@ -23,6 +23,7 @@ from service.base.schema import served
 from service.base.status import Report
 from service.lots.evaluation import figures_of
 from service.lots.figures import SHARES, LotFigures, named_figures
+from service.lots.laboratory import valid_sievings
 from service.lots.lots import LotDocument, LotState, find_lot, lots_of_sample
 from service.lots.products import find_product
 from service.lots.stones import Choice, Stones, stones_of_lot
@@ -173,12 +174,37 @@ class Conditions(StrEnum):
     EQUIPMENT = "equipment"
 
 
+class RunsOf(StrEnum):
+    """Measurements that are compared."""
+
+    INSTRUMENT = "instrument"
+    """A closed lot is a run: the same stones dropped again."""
+    LABORATORY = "laboratory"
+    """Each sieving of these lots that counts is a run."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChosenRuns:
+    """Runs to compare: those of lots with a sample id, or of lots that are named."""
+
+    sample_id: str | None = None
+    lots: tuple[str, ...] = ()
+    of: RunsOf = RunsOf.INSTRUMENT
+
+    @property
+    def named(self) -> str:
+        """What they are called."""
+        return f"sample {self.sample_id}" if self.sample_id is not None else f"lots {', '.join(self.lots)}"
+
+
 @served
 class Run:
     """A lot that is a run of the sample."""
 
     lot: str
     """Id of the lot."""
+    sieving: int | None = None
+    """Number of the sieving; null: the instrument's own measurement of the lot."""
     group: str
     """Runs of equal conditions have the same."""
 
@@ -187,8 +213,8 @@ class Run:
 class SampleStudy:
     """Repeatability and reproducibility from repeated runs of one sample (ISO 5725-2)."""
 
-    sample_id: str
-    """Id of the laboratory sample."""
+    sample_id: str | None
+    """Id of the laboratory sample; null where lots were chosen that have no common one."""
     product: str
     """Product of the newest run; all runs are judged by it."""
     product_version: int
@@ -200,39 +226,65 @@ class SampleStudy:
 
 
 def sample_study(
-    connection: sqlite3.Connection, sample_id: str, conditions: Conditions, request: Request
+    connection: sqlite3.Connection, chosen: ChosenRuns, conditions: Conditions, request: Request
 ) -> SampleStudy | None:
-    """Compare the closed lots with this sample id, all by the product of the newest; None if there is none.
+    """Compare the closed lots of a sample, all by the product of the newest, or the sievings of them; None if none is.
 
     Raises `RunsTooFewError` if no two runs were made under equal conditions, and as `yardstick_of` does.
     """
-    records = [each for each in lots_of_sample(connection, sample_id) if each.state is LotState.CLOSED]
+    if chosen.sample_id is not None:
+        lots = lots_of_sample(connection, chosen.sample_id)
+    else:
+        found_lots = (find_lot(connection, name) for name in dict.fromkeys(chosen.lots))
+        lots = sorted((each for each in found_lots if each is not None), key=lambda each: each.opened_at)
+    records = [each for each in lots if each.state is LotState.CLOSED]
     if not records:
         return None
     newest = records[-1]
     product = find_product(connection, newest.product, newest.product_version)
-    runs = [Run(lot=each.lot, group=_group(each, conditions)) for each in records]
-    figures = [figures_of(stones_of_lot(connection, run.lot), request, product) for run in runs]
-    found = [
-        {name: each.value for name, each in named_figures(of_run).items() if each.value is not None}
-        for of_run in figures
-    ]
-    names = [name for name in found[-1] if all(name in values for values in found)]
+    if chosen.of is RunsOf.LABORATORY:
+        runs, found = _sieved(connection, records, conditions)
+    else:
+        runs = [Run(lot=each.lot, group=_group(each, conditions)) for each in records]
+        figures = [figures_of(stones_of_lot(connection, run.lot), request, product) for run in runs]
+        found = [
+            {name: each.value for name, each in named_figures(of_run).items() if each.value is not None}
+            for of_run in figures
+        ]
+    names = [name for name in (found[-1] if found else ()) if all(name in values for values in found)]
     groups = {run.group: [each for each in range(len(runs)) if runs[each].group == run.group] for run in runs}
     try:
+        if len(groups) == len(runs):
+            raise ValueError("repeatability needs a group with two runs or more")
         compared = {
             name: repeatability([[found[each][name] for each in members] for members in groups.values()])
             for name in names
         }
     except ValueError as err:
-        raise RunsTooFewError(f"sample {sample_id}: {err}: a group has the same {conditions}") from err
+        raise RunsTooFewError(f"{chosen.named}: {err}: a group has the same {conditions}") from err
+    ids = {each.sample_id for each in records}
     return SampleStudy(
-        sample_id=sample_id,
+        sample_id=ids.pop() if len(ids) == 1 else None,
         product=newest.product,
         product_version=newest.product_version,
         runs=runs,
         figures=compared,
     )
+
+
+def _sieved(
+    connection: sqlite3.Connection, records: Sequence[LotDocument], conditions: Conditions
+) -> tuple[list[Run], list[dict[str, float]]]:
+    """Return the sievings of lots that count as runs, and the passing of each by the name of the figure."""
+    runs, found = [], []
+    for record in records:
+        for each in valid_sievings(connection, record.lot):
+            said = {Conditions.DAY: each.at[:10], Conditions.SAMPLER: each.document.by}
+            group = said.get(conditions, record.equipment) or f"unknown, {each.sieving}"
+            runs.append(Run(lot=record.lot, sieving=each.sieving, group=group))
+            passing = each.document.passing_percent
+            found.append({f"passing_{mm:g}_mm_percent": percent for mm, percent in passing.items()})
+    return runs, found
 
 
 def _group(record: LotDocument, conditions: Conditions) -> str:

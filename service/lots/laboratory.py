@@ -53,6 +53,7 @@ class Sieving:
     sample_id: str | None = None
     by: str | None = None
     remark: str | None = None
+    sieved_on: str | None = None  # 2026-03-02
     reason: str | None = None  # why it is right though it contradicts the instrument
 
     def __post_init__(self) -> None:

@@ -10,9 +10,10 @@ from service.base.errors import ProblemError, ProblemKind
 from service.base.messages import Code, CodedFinding, CodedText, findings_of, joined, message
 from service.base.schema import served
 from service.lots.evaluation import passing_of
-from service.lots.laboratory import Sieving, SievingError
+from service.lots.laboratory import Sieving, SievingError, valid_sievings
 from service.lots.lots import find_lot
 from service.lots.stones import stones_of_lot
+from service.lots.tables.history import RefusedRow, read_history
 from service.lots.tables.sievings import read_tables
 
 MOST_TABLES = 200
@@ -121,6 +122,53 @@ def history_of(
         sieving = replace(read.sieving, reason=reason, by=by)
         found.append((sieving, sieving_reading(connection, lot, sieving, read.understood, measured)))
     return found
+
+
+def part_of_history(
+    connection: sqlite3.Connection, table: str, reason: str | None, by: str | None, measured: MeasuredRange
+) -> tuple[list[tuple[Sieving, SievingReading]], list[RefusedRow]]:
+    """Return the sievings of a table that can be stored, each with its reading, and those that are refused.
+
+    Refused are also those of lots that there are not, what contradicts the instrument without a `reason`, and what is
+    stored already. Raises `SievingError` as `read_history` does.
+    """
+    rows = read_history(table)
+    if len(rows) > MOST_TABLES:
+        raise SievingError(f"table: has {len(rows)} sievings, more than {MOST_TABLES}: send it in parts")
+    found: list[tuple[Sieving, SievingReading]] = []
+    refused = []
+    known: dict[str, list[Sieving]] = {}
+    for row in rows:
+        if isinstance(row, RefusedRow):
+            refused.append(row)
+            continue
+        sieving = replace(row.sieving, reason=reason, by=by)
+        why = None
+        if find_lot(connection, row.lot) is None:
+            why = f"there is no lot {row.lot[:64]!r}"
+        else:
+            stored = known.setdefault(
+                row.lot, [each.document for each in valid_sievings(connection, row.lot)]
+            )
+            reading = sieving_reading(connection, row.lot, sieving, row.understood, measured)
+            if any(_is_same(each, sieving) for each in stored):
+                why = "is stored already"
+            elif reason is None:
+                why = reading.implausible
+        if why is not None:
+            refused.append(RefusedRow(lot=row.lot, line=row.line, reason=why))
+        else:
+            stored.append(sieving)
+            found.append((sieving, reading))
+    return found, refused
+
+
+def _is_same(stored: Sieving, other: Sieving) -> bool:
+    """True for the same masses or percents of the same day."""
+    return all(
+        getattr(stored, name) == getattr(other, name)
+        for name in ("retained_g", "pan_g", "given_passing_percent", "sieved_on", "sample_id")
+    )
 
 
 def require_plausible(reading: SievingReading, reason: str | None) -> None:

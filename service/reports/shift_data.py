@@ -13,11 +13,12 @@ from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.influences import PAUSE_S
 from pipeline.gradation.sieves import MeasuredRange
 from pipeline.gradation.specification import Range, Verdict
-from service.base.schema import OptionalTime, Time, served
+from service.base.schema import Time, served
 from service.base.status import AcquisitionState
 from service.health.alarms.alarm import Alarm
 from service.health.alarms.alarms import ALARM
 from service.lots.lots import LotDocument, LotState, find_lot
+from service.lots.outcome import LotVerdict
 from service.lots.products import find_product
 from service.lots.shifts import LotsSettings, Shift
 from service.lots.stones import NO_LOT, ProductCount, counts_by_product, of_product, stretch, times_of
@@ -98,32 +99,30 @@ class ShiftProduct:
 class ShiftLot:
     """A lot that was open within a shift, whole: not only what fell of it then."""
 
-    lot: str
-    """Id of the lot."""
-    product: str
-    """Id of its product."""
-    state: LotState
-    """`open`, `closing`, `closed` or `void`."""
-    opened_at: Time
-    """When it was opened, RFC 3339 UTC."""
-    closed_at: OptionalTime
-    """When it was closed or voided, RFC 3339 UTC; null while open."""
-    n_stones: int
-    """Stones that fell and have an outcome."""
-    tonnage_t: float | None
-    """Mass of the whole lot as the plant said it, t."""
-    verdict: Verdict | None
-    """Its final verdict, or the one that it has reached while it is open; null: none."""
-    is_final: bool
-    """True: the verdict stays, and its report is issued."""
-    is_partial: bool
-    """True when some figures of the specification were not measured."""
+    lot: LotDocument
+    """The lot as it is now; `completion` or `reached` has its verdict."""
     d50_mm: Estimate | None
     """D50 that it was completed with, mm; null before."""
     flakiness_percent: Estimate | None
     """Flakiness index that it was completed with, %; null before."""
     shape_percent: Estimate | None
     """Shape index that it was completed with, %; null before."""
+
+    @property
+    def is_final(self) -> bool:
+        """True when its verdict stays, and its report is issued."""
+        return self.lot.is_final and self.lot.state is LotState.CLOSED
+
+    @property
+    def said(self) -> LotVerdict | None:
+        """Its final verdict, or the one that it has reached while it is open; None: there is none."""
+        if self.lot.state is LotState.VOID:
+            return None
+        return self.lot.completion if self.lot.is_final else self.lot.reached
+
+    @property
+    def verdict(self) -> Verdict | None:
+        return None if self.said is None else self.said.verdict
 
 
 @served
@@ -278,18 +277,8 @@ def _lots(connection: sqlite3.Connection, since: str, until: str) -> list[ShiftL
 
 def _lot(lot: LotDocument, figures: str | None) -> ShiftLot:
     completed = FIGURES.validate_json(figures) if figures is not None and lot.is_final else {}
-    said = None if lot.state is LotState.VOID else lot.completion if lot.is_final else lot.reached
     return ShiftLot(
-        lot=lot.lot,
-        product=lot.product,
-        state=lot.state,
-        opened_at=lot.opened_at,
-        closed_at=lot.closed_at,
-        n_stones=lot.n_stones,
-        tonnage_t=lot.tonnage_t,
-        verdict=None if said is None else said.verdict,
-        is_final=lot.is_final and lot.state is LotState.CLOSED,
-        is_partial=said is not None and said.is_partial,
+        lot=lot,
         d50_mm=completed.get("d50_mm"),
         flakiness_percent=completed.get("flakiness_percent"),
         shape_percent=completed.get("shape_percent"),

@@ -216,7 +216,7 @@ def _stones(sheet: ShiftSheet, say: Words) -> Section:
         for each in sheet.products
     ]
     unmeasured = sum(each.unmeasured for each in sheet.products)
-    given = [each.tonnage_t for each in sheet.lots if each.tonnage_t is not None and each.is_final]
+    given = [each.lot.tonnage_t for each in sheet.lots if each.lot.tonnage_t is not None and each.is_final]
     counts = {name: say.number(getattr(sheet, name), 0) for name in ("measured", "rejected", "lost", "void")}
     block = facts(
         say,
@@ -329,15 +329,16 @@ def _listed(
     return Section(title, (table, Note(say("shift.more", n=say.number(more, 0)))) if more else (table,))
 
 
-def lot_row(lot: ShiftLot, clock: Clock, say: Words) -> list[str]:
+def lot_row(shown: ShiftLot, clock: Clock, say: Words) -> list[str]:
     """Return the line of a lot."""
-    figures = (lot.d50_mm, lot.flakiness_percent, lot.shape_percent)
-    verdict = DASH if lot.verdict is None else say.known("verdict", lot.verdict)
+    lot, said = shown.lot, shown.said
+    figures = (shown.d50_mm, shown.flakiness_percent, shown.shape_percent)
+    verdict = DASH if shown.verdict is None else say.known("verdict", shown.verdict)
     if lot.state is LotState.VOID:
         verdict = say("shift.is_void")
-    elif not lot.is_final:
+    elif not shown.is_final:
         verdict = say("shift.so_far", verdict=verdict)
-    elif lot.is_partial:
+    elif said is not None and said.is_partial:
         verdict = say("shift.partial", verdict=verdict)
     return [
         abridged(lot.lot, LONGEST_ID),

@@ -1,10 +1,13 @@
 """The laboratory's page on a running replay: a table is pasted, read back beside the instrument, and stored."""
 
+import base64
 import re
 from collections.abc import Iterator
+from io import BytesIO
 from itertools import pairwise, product
 
 import pytest
+import xlsxwriter
 from playwright.sync_api import Browser, Page, expect
 from support.browser import SIZES, Watched, origin_of, screenshot, violations, watched_page
 from support.daemon_process import DaemonProcess
@@ -57,7 +60,7 @@ def test_a_table_is_read_back_beside_the_instrument_before_it_is_stored(
     table = page.get_by_label(re.compile("^Table"))
     table.fill(pasted(replay, lot, head="Siebweite mm\tWert\n"))
     page.get_by_role("button", name="Read it back").click()
-    expect(page.locator("#entry .problem")).to_contain_text(
+    expect(page.locator("#entry p.problem")).to_contain_text(
         "Wert"
     )  # retained or passing, g or %: nothing is guessed
 
@@ -116,3 +119,77 @@ def test_the_page_is_accessible_at_all_sizes(
         assert violations(page) == []
         assert page.evaluate("document.documentElement.scrollWidth") <= viewport["width"]
         watched.assert_clean()
+
+
+DROP = """([name, content]) => {
+  const bytes = Uint8Array.from(atob(content), (letter) => letter.charCodeAt(0));
+  const dataTransfer = new DataTransfer();
+  dataTransfer.items.add(new File([bytes], name));
+  const place = document.querySelector("#entry textarea");
+  place.dispatchEvent(new DragEvent("drop", { dataTransfer, bubbles: true, cancelable: true }));
+}"""
+
+
+def workbook(lines: list[list[str]]) -> str:
+    """Two sheets in Base64, of which the first has the table as numbers."""
+    out = BytesIO()
+    with xlsxwriter.Workbook(out, {"in_memory": True, "strings_to_numbers": True}) as book:
+        for name in ("Siebung", "Notizen"):
+            sheet = book.add_worksheet(name)
+            for number, line in enumerate(lines if name == "Siebung" else [["nothing"]]):
+                sheet.write_row(number, 0, line)
+    return base64.b64encode(out.getvalue()).decode()
+
+
+def test_a_workbook_is_dropped_and_read_as_a_table(
+    page: Page, watched: Watched, replay: DaemonProcess, lot: str
+) -> None:
+    watched.is_expected = re.compile("status of 422")
+    page.goto(f"{origin_of(replay.url(''))}/laboratory?lot={lot}")
+    text = page.locator("#entry textarea")
+    text.wait_for()
+    page.evaluate(DROP, ["damaged.xlsx", base64.b64encode(b"PK no workbook").decode()])
+    expect(page.locator("#entry")).to_contain_text("cannot be unpacked")
+    lines = [line.replace(",", ".").split("\t") for line in pasted(replay, lot).splitlines()]
+    page.evaluate(DROP, ["sieving.xlsx", workbook(lines)])
+    expect(page.get_by_label("Sheet of the workbook")).to_be_visible()
+    expect(text).to_have_value(re.compile("^Siebweite mm\tRückstand g\n"))
+    page.get_by_role("button", name="Read it back").click()
+    expect(page.locator("#reading tbody tr")).to_have_count(len(SIEVES_MM))
+    expect(page.locator("#reading")).to_contain_text("1,000.0 g")
+
+
+def test_months_of_sievings_are_previewed_stored_and_compared(
+    page: Page, watched: Watched, replay: DaemonProcess, lot: str
+) -> None:
+    curve = {
+        step["sieve_mm"]: round(step["passing_percent"]["value"], 2)
+        for step in replay.get(f"/lots/{lot}/gradation")["curve"]
+        if step["sieve_mm"] in SIEVES_MM
+    }
+    head = ";".join(["Los", "Datum", *(f"Durchgang % {mm} mm" for mm in SIEVES_MM)])
+    values = ";".join(str(curve[mm]).replace(".", ",") for mm in SIEVES_MM)
+    table = f"{head}\n{lot};02.03.2026;{values}\n{lot};03.03.2026;{values}\nL-99;03.03.2026;{values}\n"
+    page.goto(f"{origin_of(replay.url(''))}/laboratory?lot={lot}")
+    page.locator("#history textarea").fill(table)
+    page.get_by_role("button", name="Preview").click()
+    found = page.locator("#history-found")
+    expect(found).to_contain_text("2 sievings can be stored, 1 are refused.")
+    expect(found.locator(".refused tbody tr")).to_have_text(re.compile("4.*L-99.*there is no lot"))
+    with page.expect_download() as template:
+        page.get_by_role("link", name="Template").click()
+    assert template.value.suggested_filename == "sievings.csv"
+    found.get_by_role("button", name="Store these").click()
+    expect(found).to_contain_text("2 sievings are stored.")
+
+    place = page.locator("#repeatability")
+    place.locator("select[name=runs]").select_option([lot])
+    place.locator("select[name=of]").select_option("laboratory")
+    place.get_by_role("button", name="Compute").click()
+    compared = page.locator("#repeatability-found")
+    row = compared.locator("tbody tr").filter(has_text="Passing 16 mm")
+    expect(row.locator("td").nth(3)).to_have_text("0.00")  # the same twice: s_r is 0
+    with page.expect_download() as export:
+        compared.get_by_role("link", name="Export as CSV").click()
+    content = export.value.path().read_text(encoding="utf-8-sig")
+    assert content.startswith('"figure","mean","n_runs"') and '"passing_16_mm_percent"' in content

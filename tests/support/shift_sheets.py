@@ -3,13 +3,14 @@
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from support.lot_figures import measured
+from support.lot_figures import lot_document, measured
 
 from pipeline.frames import rfc3339
 from pipeline.gradation.specification import Range, Verdict
 from service.health.alarms.alarm import Alarm, AlarmState
 from service.health.alarms.rules import Priority
 from service.lots.lots import LotState
+from service.lots.outcome import LotCompletion
 from service.lots.trends.diary import DiaryEntry, DiaryKind
 from service.reports.report import EndedVerification, VerificationOutcome
 from service.reports.shift_data import (
@@ -77,16 +78,27 @@ def shift_sheet(
         ],
         "lots": [
             ShiftLot(
-                lot=f"L-{1200 + n}",
-                product="basalt-8-16",
-                state=LotState.CLOSED,
-                opened_at=after(15 * n),
-                closed_at=after(15 * n + 14),
-                n_stones=170,
-                tonnage_t=40.0,
-                verdict=verdicts[n % 5 == 4],
-                is_final=True,
-                is_partial=False,
+                lot=lot_document(
+                    lot=f"L-{1200 + n}",
+                    product="basalt-8-16",
+                    state=LotState.CLOSED,
+                    opened_at=after(15 * n),
+                    closed_at=after(15 * n + 14),
+                    revision=1,
+                    n_stones=170,
+                    tonnage_t=40.0,
+                    completion=LotCompletion(
+                        verdict=verdicts[n % 5 == 4],
+                        is_partial=False,
+                        measured=170,
+                        rejected=0,
+                        lost=0,
+                        revision=1,
+                        at=after(15 * n + 15),
+                        report="",
+                        report_sha256="",
+                    ),
+                ),
                 d50_mm=measured(11.4),
                 flakiness_percent=measured(12.3),
                 shape_percent=measured(9.5),

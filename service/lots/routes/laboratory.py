@@ -3,13 +3,15 @@
 from dataclasses import replace
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Query, Response
-from pydantic import BaseModel, Field, TypeAdapter
+from fastapi import APIRouter, Depends, Path, Query, Response
+from pydantic import Base64Bytes, BaseModel, Field, TypeAdapter
 
 from pipeline.gradation.correlation import MappingForm
+from service.base.errors import InvalidRequestError
+from service.base.ids import ID
 from service.base.messages import Code, message
-from service.base.schema import Name, OptionalTime, RequestBody, Time
-from service.lots.comparing import Conditions, SampleStudy, sample_study
+from service.base.schema import Name, OptionalTime, RequestBody, Time, request_body, served
+from service.lots.comparing import ChosenRuns, Conditions, RunsOf, SampleStudy, sample_study
 from service.lots.correlations import (
     CorrelationDocument,
     accept_study,
@@ -29,18 +31,27 @@ from service.lots.laboratory import (
     void_sieving,
 )
 from service.lots.lots import find_lot
-from service.lots.plausibility import SievingReading, history_of, require_plausible, sieving_reading
+from service.lots.plausibility import (
+    SievingReading,
+    history_of,
+    part_of_history,
+    require_plausible,
+    sieving_reading,
+)
 from service.lots.products import find_product
 from service.lots.routes.lot_figures import Measuring
 from service.lots.routes.lots import LotName, VoidRequest
 from service.lots.routes.products import ProductName
 from service.lots.shifts import LotsSettings
+from service.lots.tables.history import RefusedRow
 from service.lots.tables.sievings import read_table
+from service.lots.tables.workbook import MAX_BYTES, sheets_of
 from service.web.auth import CONFIGURABLE, OPERABLE, READABLE, Who
 from service.web.context import Context
 from service.web.feeds import MAX_SEQ
 from service.web.problems import existing, problem_responses
 
+LotId = Annotated[str, Field(pattern=ID)]
 READING = TypeAdapter(SievingReading)
 
 router = APIRouter(tags=["laboratory"])
@@ -98,6 +109,9 @@ class SievingDocument(BaseModel):
     by: str | None = Field(description="Who sieved")
     remark: str | None = Field(description="As it was given")
     dry_mass_g: float | None = Field(description="Dry mass before sieving, g, as it was given")
+    sieved_on: str | None = Field(
+        default=None, description="Date of the sieving, such as 2026-03-02; null: not given"
+    )
     reason: str | None = Field(description="Why it is right, or why it replaced another, as it was given")
     voided_at: OptionalTime = Field(
         description="When it was declared void, RFC 3339 UTC; null while it counts"
@@ -121,6 +135,37 @@ class HistoryRequest(RequestBody):
     dry_run: bool = Field(
         default=False, description="True: nothing is stored, and the answer is the sievings as they were read"
     )
+    skip_refused: bool = Field(
+        default=False,
+        description="True: each sieving is taken or refused by itself, as one that is stored already; a line may be"
+        " a whole sieving, with columns such as `Lot`, `Date`, `Passing % 31.5 mm`. False: all or none",
+    )
+
+
+@request_body
+class WorkbookRequest:
+    """A workbook of a spreadsheet."""
+
+    workbook: Annotated[Base64Bytes, Field(min_length=1, max_length=MAX_BYTES * 4 // 3 + 4)]
+    """The .xlsx file in Base64, at most 700 kB."""
+
+
+@served
+class SheetTable:
+    """A sheet of a workbook as a table."""
+
+    sheet: str
+    """Name of the sheet."""
+    table: str
+    """Its cells as a spreadsheet copies them, tabs between them: to be sent as `table` of a sieving."""
+
+
+@served
+class SheetTables:
+    """The sheets of a workbook that are not empty."""
+
+    items: list[SheetTable]
+    """In the order of the workbook."""
 
 
 class LotSieving(SievingDocument):
@@ -133,12 +178,14 @@ class LotSievings(BaseModel):
     """Sievings that were stored together."""
 
     items: list[LotSieving] = Field(description="In the order of the table")
+    refused: list[RefusedRow] = Field(default=[], description="Those that were refused, with `skip_refused`")
 
 
 class SievingReadings(BaseModel):
     """Sievings of a table as they were read; nothing of it is stored."""
 
     items: list[SievingReading] = Field(description="In the order of the table")
+    refused: list[RefusedRow] = Field(default=[], description="Those that are refused, with `skip_refused`")
 
 
 class Sievings(BaseModel):
@@ -237,6 +284,13 @@ async def list_correlations(context: Context, product: ProductName) -> Correlati
     return Correlations(items=await context.store.read(correlations, product))
 
 
+@router.post("/tables", dependencies=OPERABLE)
+async def read_workbook(context: Context, wanted: WorkbookRequest) -> SheetTables:
+    """Read the sheets of a workbook (.xlsx) as tables; nothing is stored. 422 says why one cannot be read."""
+    found = await context.reading.run(sheets_of, wanted.workbook)
+    return SheetTables(items=[SheetTable(sheet=sheet, table=table) for sheet, table in found.items()])
+
+
 @router.post(
     "/sievings",
     status_code=201,
@@ -247,16 +301,21 @@ async def list_correlations(context: Context, product: ProductName) -> Correlati
     },
 )
 async def post_sievings(context: Context, wanted: HistoryRequest, asking: Who) -> Any:
-    """Store sievings of many lots from one table: all of them or, if a line is wrong, none."""
+    """Store sievings of many lots from one table: all of them or, if a line is wrong, none; or those that are right."""
     measured = context.part(LotsSettings).measured
-    found = await context.read_beside(history_of, wanted.table, wanted.reason, wanted.by, measured)
+    given = (wanted.table, wanted.reason, wanted.by, measured)
+    refused: list[RefusedRow] = []
+    if wanted.skip_refused:
+        found, refused = await context.read_beside(part_of_history, *given)
+    else:
+        found = await context.read_beside(history_of, *given)
     if wanted.dry_run:
-        items = SievingReadings(items=[reading for _, reading in found])
+        items = SievingReadings(items=[reading for _, reading in found], refused=refused)
         return Response(items.model_dump_json(), media_type="application/json")
     for sieving, reading in found:
         require_plausible(reading, sieving.reason)
     pairs = [(reading.lot, sieving) for sieving, reading in found]
-    return {"items": await context.write(add_history, pairs, asking)}
+    return {"items": await context.write(add_history, pairs, asking), "refused": refused}
 
 
 @router.post(
@@ -285,18 +344,36 @@ async def post_withdrawn_correlation(
     return await context.write(withdraw_study, product, version, wanted.reason, asking)
 
 
+def runs_of(
+    sample_id: Annotated[
+        str | None, Query(min_length=1, max_length=200, description="Of the lots to compare")
+    ] = None,
+    lot: Annotated[
+        list[LotId] | None, Query(min_length=2, max_length=50, description="These lots instead, 2 at least")
+    ] = None,
+    of: Annotated[RunsOf, Query(description="Measurements to compare")] = RunsOf.INSTRUMENT,
+) -> ChosenRuns:
+    """Return the runs that are asked for; raise `InvalidRequestError` unless one way names them."""
+    if (sample_id is None) == (lot is None):
+        raise InvalidRequestError("query: sample_id, lot: give one of them")
+    return ChosenRuns(sample_id=sample_id, lots=tuple(lot or ()), of=of)
+
+
 @router.get("/repeatability", dependencies=READABLE, responses=problem_responses(404, 409))
 async def get_repeatability(
     context: Context,
     measuring: Measuring,
-    sample_id: Annotated[str, Query(min_length=1, max_length=200, description="Of the lots to compare")],
+    chosen: Annotated[ChosenRuns, Depends(runs_of)],
     conditions: Annotated[
         Conditions, Query(description="What runs under equal conditions have in common")
     ] = Conditions.DAY,
 ) -> SampleStudy:
-    """Get the repeatability of a sample: of the same stones dropped again in closed lots, by others, elsewhere."""
-    found = await context.read_beside(sample_study, sample_id, conditions, measuring)
-    return existing(found, "sample", sample_id)
+    """Get the repeatability of a sample: of the same stones dropped, or sieved, again; by others, elsewhere.
+
+    Runs are the closed lots of a `sample_id`, or lots that are named; or all sievings of these that count.
+    """
+    found = await context.read_beside(sample_study, chosen, conditions, measuring)
+    return existing(found, "sample", chosen.sample_id or ", ".join(chosen.lots))
 
 
 def _sieving(wanted: SievingRequest) -> tuple[Sieving, str]:

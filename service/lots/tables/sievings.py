@@ -44,6 +44,7 @@ class ReadTable:
     sieving: Sieving
     understood: str  # how the table was read: "column 1: aperture in µm; column 2: passing in %"
     line: int  # first line of the sieving, from 1
+    lot: str = ""  # of a table of many
 
 
 def read_table(text: str) -> ReadTable:

@@ -5,6 +5,8 @@ import { byId, html, show } from "./dom.js";
 import { actionButton } from "./forms.js";
 import { holdPaint, showProblem, startPage, titled } from "./header.js";
 import { showEntry } from "./laboratory/entry.js";
+import { showHistory } from "./laboratory/history.js";
+import { showRepeatability } from "./laboratory/repeatability.js";
 import { sievingsTable } from "./laboratory/sievings.js";
 import { studiesTable } from "./laboratory/studies.js";
 import { word } from "./words.js";
@@ -20,7 +22,11 @@ async function showLots() {
   const asked = new URLSearchParams(location.search).get("lot");
   if (asked !== null && !lots.some(({ lot }) => lot === asked)) await get(`/lots/${encodeURIComponent(asked)}`).then((lot) => lots.unshift(lot), showProblem);
   if (lots.length === 0) show(byId("entry"), html.p({ class: "note" }, word("laboratory.no-lots")));
-  else await showEntry(byId("entry"), byId("reading"), lots, asked ?? lots[0].lot, (lot) => showLot(lot).catch(showProblem));
+  else {
+    showRepeatability(byId("repeatability"), byId("repeatability-found"), lots.filter(({ state }) => state === "closed"));
+    showHistory(byId("history"), byId("history-found"), () => showLot(new URLSearchParams(location.search).get("lot")).catch(showProblem));
+    await showEntry(byId("entry"), byId("reading"), lots, asked ?? lots[0].lot, (lot) => showLot(lot).catch(showProblem));
+  }
 }
 
 /** Show the sievings of a lot, and the studies of its product. */

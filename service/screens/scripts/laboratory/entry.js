@@ -3,6 +3,7 @@
 import { post } from "../api.js";
 import { html, show, table } from "../dom.js";
 import { actionButton, field, makeForm } from "../forms.js";
+import { fileField } from "./files.js";
 import { number, quantity, said, sieve, word } from "../words.js";
 
 /** Heads for a table that has none, or whose head does not say what its numbers are. */
@@ -17,12 +18,11 @@ const MOST_LOST_PERCENT = 1;
 export function showEntry(place, reading, lots, chosen, onLot) {
   const lot = html.select({ name: "lot" }, lots.map(({ lot, product }) => html.option({ value: lot, selected: lot === chosen }, `${lot} (${product})`)));
   const text = html.textarea({ name: "table", rows: 10, required: true, maxlength: 20_000, spellcheck: "false", class: "table" });
-  const file = html.input({ type: "file", accept: ".csv,.txt,.tsv,text/csv,text/plain" });
-  file.addEventListener("change", async () => (text.value = await file.files[0]?.text() ?? text.value));
+  const file = fileField(text);
   const form = makeForm("laboratory.read", read,
     html.label(word("laboratory.lot"), lot),
     html.label(word("laboratory.table"), text, html.small(word("laboratory.table-hint"))),
-    html.label(word("laboratory.file"), file),
+    file,
     html.label(word("laboratory.head"), html.select({ name: "head" }, Object.keys(HEADS).map((head) => html.option({ value: head }, word(`laboratory.head-${head}`))))),
     field("laboratory.dry_mass_g", { name: "dry_mass_g", type: "number", min: 0, step: "any", inputmode: "decimal" }),
     SAID.map((name) => field(`laboratory.${name}`, { name, maxlength: 200, autocomplete: "off" })),

@@ -1,0 +1,116 @@
+"""Sheets of workbooks as tables: what a spreadsheet writes is read back, what is hostile is refused in bounds."""
+
+import zipfile
+from collections.abc import Mapping
+from contextlib import suppress
+from datetime import date
+from io import BytesIO
+from typing import Any
+
+import pytest
+import xlsxwriter
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.lots.laboratory import SievingError
+from service.lots.tables.sievings import read_table
+from service.lots.tables.workbook import MAX_BYTES, MAX_PART_BYTES, MAX_ROWS, WorkbookError, sheets_of
+
+
+def workbook(**sheets: list[list[Any]]) -> bytes:
+    """A workbook as xlsxwriter makes it; a tuple is a value with its format, a text with = a formula's value."""
+    out = BytesIO()
+    with xlsxwriter.Workbook(out, {"in_memory": True}) as book:
+        for name, rows in sheets.items():
+            sheet = book.add_worksheet(name)
+            for i, row in enumerate(rows):
+                for j, cell in enumerate(row):
+                    value, form = cell if isinstance(cell, tuple) else (cell, None)
+                    if isinstance(value, date):
+                        sheet.write_datetime(
+                            i, j, value, book.add_format({"num_format": form or "dd/mm/yyyy"})
+                        )
+                    elif value is not None:
+                        sheet.write(i, j, value, form and book.add_format({"num_format": form}))
+    return out.getvalue()
+
+
+def packed(parts: Mapping[str, bytes]) -> bytes:
+    out = BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, content in parts.items():
+            file.writestr(name, content)
+    return out.getvalue()
+
+
+def changed(content: bytes, name: str, part: bytes) -> bytes:
+    with zipfile.ZipFile(BytesIO(content)) as file:
+        return packed({each: file.read(each) for each in file.namelist()} | {name: part})
+
+
+def test_a_sieving_of_a_laboratory_s_workbook_is_read_as_it_was_saved() -> None:
+    rows = [
+        ["Sieb mm", "Rückstand g", "Durchgang %"],
+        [16, 0, (1.0, "0.0%")],
+        [11.2, 250.125, (0.749875, "0.00%")],
+        [8, 500, (0.249875, "0.0 %")],
+        ["Schale", 249.875, None],
+    ]
+    (table,) = sheets_of(workbook(Sieblinie=rows, leer=[])).values()
+    assert table.splitlines()[2] == "11.2\t250.1250\t74.9875 %"
+    read = read_table(table)
+    assert read.sieving.retained_g == {16.0: 0.0, 11.2: 250.125, 8.0: 500.0}
+    assert read.sieving.pan_g == 249.875
+    assert "Durchgang" not in read.understood and "passing in %" in read.understood
+
+
+def test_dates_numbers_and_texts_are_as_people_see_them() -> None:
+    rows = [
+        [date(2026, 3, 2), (date(2026, 12, 31), "d. mmmm yyyy"), 1.234, 1234567.5, "a\nb\tc", True],
+        [],
+        [None, 0.1 + 0.2, (5, '0 "mm"'), (0.5, '0.0 "%"')],
+    ]
+    (table,) = sheets_of(workbook(Sheet=rows)).values()
+    first, empty, last = table.splitlines()
+    assert first.split("\t") == ["2026-03-02", "2026-12-31", "1.2340", "1234567.5", "a b c", "1"]
+    assert empty == ""
+    assert last.split("\t") == ["", "0.3", "5", "0.5"]
+
+
+@given(st.floats(0.01, 9999, allow_nan=False).map(lambda value: round(value, 3)))
+def test_a_number_of_a_workbook_has_one_reading(grams: float) -> None:
+    (table,) = sheets_of(workbook(Sheet=[["Sieve mm", "Retained g"], [8, grams], [4, 1.5]])).values()
+    assert read_table(table).sieving.retained_g[8.0] == grams
+
+
+def test_what_is_no_workbook_or_hostile_is_refused() -> None:
+    good = workbook(Sheet=[["Sieve mm", "Retained g"], [8, 1]])
+    sheet = "xl/worksheets/sheet1.xml"
+    entity = b'<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa">]><worksheet><sheetData/></worksheet>'
+    far = b'<worksheet><sheetData><row><c r="A%d"><v>1</v></c></row></sheetData></worksheet>' % (MAX_ROWS + 1)
+    index = b'<worksheet><sheetData><row><c r="A1" t="s"><v>99</v></c></row></sheetData></worksheet>'
+    huge = b'<worksheet><sheetData><row><c r="A1"><v>1e999</v></c></row></sheetData></worksheet>'
+    for wrong, why in (
+        (b"Sieve;Retained", "no .xlsx"),
+        (b"PK" + b"x" * 100, "unpacked"),
+        (good[: len(good) // 2], "unpacked"),
+        (b"PK" + bytes(MAX_BYTES), "larger"),
+        (packed({"a.txt": b"x"}), "damaged"),
+        (changed(good, sheet, b" " * (MAX_PART_BYTES + 1)), "larger"),  # a bomb of 20 kB
+        (changed(good, sheet, entity), "not as spreadsheets"),
+        (changed(good, sheet, entity.decode().encode("utf-16")), "not as spreadsheets"),
+        (changed(good, sheet, far), "lines"),
+        (changed(good, sheet, index), "damaged"),
+        (changed(good, sheet, huge), "no number"),
+        (changed(good, sheet, b"<worksheet><sheetData>"), "damaged"),
+        (packed({f"{n}.xml": b"" for n in range(1001)}), "parts"),
+    ):
+        with pytest.raises(WorkbookError, match=why):
+            sheets_of(wrong)
+
+
+@given(st.binary(max_size=300), st.integers(0, 3000))
+def test_a_damaged_workbook_is_an_error_of_its_own(garbage: bytes, at: int) -> None:
+    good = workbook(Sheet=[["Sieve mm", "Retained g"], [8, 1]])
+    with suppress(SievingError):
+        sheets_of(good[:at] + garbage + good[at + len(garbage) :])
