@@ -196,7 +196,7 @@ def _headline(sheet: ShiftSheet, say: Words) -> str:
     mass_kg = sum(each.mass_kg or 0.0 for each in sheet.products)
     is_known = any(each.mass_kg is not None for each in sheet.products)
     parts = [
-        say("lot.tonnes", value=say.number(mass_kg / 1000, 3)) if is_known else say("accounting.no_mass"),
+        say("lot.tonnes", value=say.number(mass_kg / 1000, 3)) if is_known else say("shift.no_mass"),
         say("shift.n_stones", n=say.number(sheet.triggers, 0)),
         say("shift.n_lots", n=say.number(len(sheet.lots), 0)),
     ]

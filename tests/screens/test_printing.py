@@ -2,13 +2,19 @@
 
 import os
 from io import BytesIO
+from itertools import product
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 from pypdf import PdfReader
-from support.browser import Watched, origin_of, until, watched_page
+from support.browser import SIZES, Watched, origin_of, screenshot, until, violations, watched_page
 from support.daemon_process import DaemonProcess
+from support.extents import first_quick
+from typer.testing import CliRunner
+
+from screens.test_lots_page import PHONE
+from service.commands.cli import build_app
 
 PATIENCE_MS = 60_000
 A4_MM = (210, 297)
@@ -68,3 +74,29 @@ def test_a_shift_is_chosen_shown_and_printed_on_one_sheet(watched: Watched, repl
     assert f"/shifts/{first}/sheet.pdf" in (
         page.get_by_role("link", name="As PDF").get_attribute("href") or ""
     )
+
+
+@pytest.mark.parametrize(("size", "theme"), first_quick(product([*SIZES, "phone"], ("light", "dark"))))
+def test_the_sheet_is_accessible_at_all_sizes(
+    browser: Browser, replay: DaemonProcess, size: str, theme: str
+) -> None:
+    viewport = {**SIZES, "phone": PHONE}[size]
+    with watched_page(browser, viewport=viewport, color_scheme=theme, locale="de-DE") as watched:
+        page = watched.page
+        page.goto(f"{origin_of(replay.url(''))}/shift")
+        page.locator("#sheet h1").wait_for()
+        screenshot(page, f"shift-{size}-{theme}")
+        assert violations(page) == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= viewport["width"]
+        watched.assert_clean()
+
+
+def test_the_command_fetches_the_sheet_of_the_last_shift(replay: DaemonProcess, tmp_path: Path) -> None:
+    url = origin_of(replay.url(""))
+    words = ["report", "--shift", "last", "--out", str(tmp_path), "--url", url, "--language", "de"]
+    done = CliRunner().invoke(build_app(["report"]), words)
+    assert done.exit_code == 0, done.output
+    name = replay.get("/shifts?limit=2")["items"][1]["shift"]
+    assert {path.name for path in tmp_path.iterdir()} == {f"shift-{name}.html", f"shift-{name}.pdf"}
+    assert "Schichtblatt" in (tmp_path / f"shift-{name}.html").read_text(encoding="utf-8")
+    assert CliRunner().invoke(build_app(["report"]), ["report", "--shift", "last"]).exit_code != 0

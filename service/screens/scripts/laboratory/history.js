@@ -16,7 +16,7 @@ export function showHistory(place, found, onStored) {
     html.label(word("laboratory.history-table"), text),
     fileField(text),
     csvLink("laboratory.template", "sievings.csv", TEMPLATE),
-    field("laboratory.by", { name: "by", maxlength: 200, autocomplete: "off" }),
+    field("laboratory.history-by", { name: "by", maxlength: 200, autocomplete: "off" }),
     field("laboratory.history-reason", { name: "reason", maxlength: 2000, autocomplete: "off" }),
   ));
 
