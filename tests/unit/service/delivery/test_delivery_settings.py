@@ -136,7 +136,9 @@ def test_the_example_of_the_deployed_configuration_is_valid(tmp_path: Path) -> N
     lines = text[begin : text.index("\n\n[", begin)].splitlines()
     example = "\n".join(line.removeprefix("# ") for line in lines)
     example = example.replace("allowed_hosts = []", 'allowed_hosts = ["mes.plant.example"]')
-    assert tomllib.loads(example).keys() == {"webhooks", "file_drop"}
+    assert tomllib.loads(example).keys() == {"webhooks", "file_drop", "mail"}
     settings = load(tmp_path, example)
     assert settings.webhooks.endpoints[0].ca_file == Path("/etc/stonefall/plant-ca.pem")
     assert settings.file_drop is not None
+    assert settings.mail is not None
+    assert settings.mail.user == "stonefall"
