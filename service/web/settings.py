@@ -12,7 +12,7 @@ PREFIX = re.compile(r"(/[A-Za-z0-9_-]+)*")
 """Path at which a proxy may have the service; empty without one."""
 OWN_PATHS = (
     *("api", "compare", "gallery", "laboratory", "lots"),
-    *("screens", "setup", "sign-in", "stones", "verify"),
+    *("screens", "setup", "shift", "sign-in", "stones", "verify"),
 )
 """First parts of our own paths, which a prefix would hide."""
 

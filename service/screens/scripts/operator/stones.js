@@ -1,6 +1,6 @@
 /** The last stones, as they come, each the way to its passport: the newest falls in on the left. */
 
-import { BASE } from "../api.js";
+import { BASE, ROOT } from "../api.js";
 import { byId, html } from "../dom.js";
 import { number, time, word } from "../words.js";
 
@@ -37,7 +37,7 @@ function card(stone, isFirst) {
   const quality = isMeasured && stone.quality !== "good" ? word(`operator.quality-${stone.quality}`) : "";
   const picture = html.div({ class: "picture" });
   const made = html.li({ "data-seq": stone.seq, class: isFirst ? stone.outcome : `${stone.outcome} falling`, title: time(stone.captured_at) },
-    html.a({ href: `/stones/${stone.id}` },
+    html.a({ href: `${ROOT}stones/${stone.id}` },
       picture,
       html.b(size),
       html.span(kind),

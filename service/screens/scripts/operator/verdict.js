@@ -1,6 +1,6 @@
 /** Whether what falls conforms: in one sentence, figure by figure, and for the lots before. */
 
-import { get } from "../api.js";
+import { ROOT, get } from "../api.js";
 import { askWhenNew } from "../asking.js";
 import { byId, html, setText, showNew } from "../dom.js";
 import { verdictSymbol } from "../symbols.js";
@@ -58,12 +58,15 @@ function closedSentence({ lot, completion }) {
   return word(key, { lot, stones: number(measured) });
 }
 
+/** Return where the issued report is, below the path that a proxy has this page at. */
+const issued = ({ report }) => ROOT + report.slice(1);
+
 const lastLot = (last, isSaid) => [
   isSaid ? html.span(word("operator.closed-at", { at: time(last.closed_at) })) : [
     verdictSymbol(last.completion?.verdict ?? "none"),
     html.span(word("operator.last-lot", { sentence: closedSentence(last), at: time(last.closed_at) })),
   ],
-  last.completion && html.a({ href: last.completion.report }, word("operator.report")),
+  last.completion && html.a({ href: issued(last.completion) }, word("operator.report")),
 ];
 
 const seeHistory = askWhenNew(async () => {
@@ -77,7 +80,7 @@ export const showHistory = ({ lot, last_lot: last }) => seeHistory({ lot: lot?.l
 
 function past({ lot, completion }) {
   const verdict = completion?.verdict ?? "none";
-  const href = completion?.report ?? `/gallery?lot=${encodeURIComponent(lot)}`;
+  const href = completion ? issued(completion) : `${ROOT}gallery?lot=${encodeURIComponent(lot)}`;
   const text = `${lot}: ${word(`verdict.${verdict}`)}`;
   return html.li({ "data-verdict": verdict }, html.a({ href, title: text, "aria-label": text }, verdictSymbol(verdict), html.span(lot)));
 }
