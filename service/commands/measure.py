@@ -32,7 +32,6 @@ from pipeline.particle import PipelineParameters
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation.segmenter_choice import SegmenterKind
 from service.base.errors import UsageError
-from service.base.language import Language
 from service.commands.lots import curve_table
 from service.commands.options import Executor, Json, changed, with_options
 from service.commands.results_folder import FOLDERS, RESULTS, Workers, measure_all
@@ -148,7 +147,7 @@ def command(options: MeasureOptions) -> None:
         )
         (unfinished / GRADATION).write_text(json.dumps(_gradation(records, calibration), indent=2) + "\n")
         figures = figures_of(stones_in(records), Request())
-        (unfinished / CURVE).write_text(curve_svg(figures.curve, language=Language.ENGLISH), encoding="utf-8")
+        (unfinished / CURVE).write_text(curve_svg(figures.curve), encoding="utf-8")
         _replace_results(unfinished, options.out)
     _print_summary(records, options.as_json)
     if figures.measured and not options.as_json:

@@ -6,7 +6,6 @@ from datetime import datetime
 from math import floor, log10
 
 from pipeline.gradation.sieves import MeasuredRange
-from service.base.language import Language
 from service.lots.trends.control import TELLING, product_control
 from service.lots.trends.control_documents import ControlPoint, FigureControl
 from service.reports.drawing import (
@@ -14,6 +13,8 @@ from service.reports.drawing import (
     Anchor,
     ChartField,
     Drawing,
+    Entry,
+    Look,
     Point,
     Shape,
     Sign,
@@ -28,48 +29,51 @@ from service.reports.drawing import (
 from service.reports.trend import DOT_RADIUS, MARGIN, entry_name, nice_step
 from service.reports.words import Words, words
 
-FIELD = ChartField(top=26.0, bottom=220.0)
+FIELD = ChartField(top=26.0, bottom=220.0, beneath=58.0, legend_drop=3.2 * LABEL_SIZE)
 SHOWN = 60
 """Lots that are drawn, the newest."""
 TITLES = {"d50_mm": "trend.d50", "flakiness_percent": "trend.flakiness", "shape_percent": "trend.shape"}
 
 
 def stored_control_svg(
-    connection: sqlite3.Connection, product: str, figure: str, measured: MeasuredRange, language: Language
+    connection: sqlite3.Connection, product: str, figure: str, measured: MeasuredRange, look: Look
 ) -> str | None:
     """Return the drawing of one figure of a product, None if the product is not known or has no such figure."""
     found = product_control(connection, product, measured, SHOWN)
     charts = [] if found is None else found.charts
-    return next((control_svg(each, product, language) for each in charts if each.figure == figure), None)
+    return next((control_svg(each, product, look) for each in charts if each.figure == figure), None)
 
 
-def control_svg(chart: FigureControl, product: str, language: Language) -> str:
+def control_svg(chart: FigureControl, product: str, look: Look) -> str:
     """Return the drawing of a control chart."""
-    say = words(language)
+    say = words(look.language)
     points = chart.points
-    axes = _Axes(points, chart.centre)
+    entries = list(_legend(points, say))
+    axes = _Axes(points, chart.centre, FIELD.fitted(look, entries))
     title = f"{_title(chart.figure, say)}: {product}"
     out = [point.lot for point in points if _is_out(point)]
     drawing = Drawing(
-        height=278.0,
+        width=axes.field.width,
+        height=axes.field.height,
         title=title,
         description=say("control.described", title=title, n=len(points), out=", ".join(out) or "–"),
         shapes=(
-            *([] if points else [label(FIELD.middle, say("control.nothing"), Anchor.MIDDLE)]),
+            *([] if points else [label(axes.field.middle, say("control.nothing"), Anchor.MIDDLE)]),
             *_grid(axes, points, chart.centre, title, say),
             *_limits(axes, points),
             *_values(axes, points),
             *_marks(axes, points, say),
-            *FIELD.legend(_legend(points, say), FIELD.bottom + 3.2 * LABEL_SIZE, gap=14),
+            *axes.field.legend(entries),
         ),
     )
-    return svg(drawing, language)
+    return svg(drawing, look.language)
 
 
 class _Axes:
     """Places of lots and values on the paper."""
 
-    def __init__(self, points: Sequence[ControlPoint], centre: float | None) -> None:
+    def __init__(self, points: Sequence[ControlPoint], centre: float | None, field: ChartField) -> None:
+        self.field = field
         self.n = len(points)
         named = [each for point in points for each in (point.figure.value, point.lower, point.upper, centre)]
         ends = [each for each in named if each is not None] or [0.0, 1.0]
@@ -79,10 +83,10 @@ class _Axes:
         self.decimals = max(0, -floor(log10(self.step)))
 
     def x(self, place: float) -> float:
-        return FIELD.x((place + 0.5) / self.n)
+        return self.field.x((place + 0.5) / self.n)
 
     def y(self, value: float) -> float:
-        return FIELD.y((value - self.least) / (self.greatest - self.least))
+        return self.field.y((value - self.least) / (self.greatest - self.least))
 
 
 def _title(figure: str, say: Words) -> str:
@@ -107,18 +111,19 @@ def _style(point: ControlPoint) -> Style:
 def _grid(
     axes: _Axes, points: Sequence[ControlPoint], centre: float | None, title: str, say: Words
 ) -> Iterator[Shape]:
+    field = axes.field
     for number in range(floor(axes.least / axes.step) + 1, floor(axes.greatest / axes.step) + 1):
-        yield from FIELD.row(axes.y(number * axes.step), say.number(number * axes.step, axes.decimals))
-    right = FIELD.left
+        yield from field.row(axes.y(number * axes.step), say.number(number * axes.step, axes.decimals))
+    right = field.left
     for place, point in enumerate(points):
         left = axes.x(place) - label_width(point.lot) / 2
-        if left >= right and left + label_width(point.lot) <= FIELD.right + 12:
-            yield label((axes.x(place), FIELD.bottom + LABEL_SIZE + 4), point.lot, Anchor.MIDDLE)
+        if left >= right and left + label_width(point.lot) <= field.right + 12:
+            yield label((axes.x(place), field.bottom + LABEL_SIZE + 4), point.lot, Anchor.MIDDLE)
             right = left + label_width(point.lot) + 10
     if centre is not None:
-        yield line(((FIELD.left, axes.y(centre)), (FIELD.right, axes.y(centre))), Style.FRAME)
-    yield FIELD.frame()
-    yield label((LABEL_SIZE + 2, FIELD.middle[1]), title, Anchor.MIDDLE, is_turned=True)
+        yield line(((field.left, axes.y(centre)), (field.right, axes.y(centre))), Style.FRAME)
+    yield field.frame()
+    yield from field.title(title)
 
 
 def _line(
@@ -151,14 +156,15 @@ def _values(axes: _Axes, points: Sequence[ControlPoint]) -> Iterator[Shape]:
 def _marks(axes: _Axes, points: Sequence[ControlPoint], say: Words) -> Iterator[Shape]:
     """Yield a line for each entry of the diary that may be a cause, before the first lot that was closed after it."""
     known = {each.entry: each for point in points if point.causes is not None for each in point.causes.diary}
-    right = FIELD.left
+    field = axes.field
+    right = field.left
     for entry in sorted(known.values(), key=lambda each: each.at):
         place = sum(_time(point.closed_at) < _time(entry.at) for point in points)
         x = axes.x(place - 0.5)
-        yield line(((x, FIELD.top - 6), (x, FIELD.bottom)), Style.MARK)
+        yield line(((x, field.top - 6), (x, field.bottom)), Style.MARK)
         if (text := entry_name(entry, say)) and x >= right:
-            left = min(x, FIELD.right - label_width(text))
-            yield label((left, FIELD.top - 10), text)
+            left = min(x, field.right - label_width(text))
+            yield label((left, field.top - 10), text)
             right = left + label_width(text) + 8
 
 
@@ -166,7 +172,7 @@ def _time(at: str) -> datetime:
     return datetime.fromisoformat(at)
 
 
-def _legend(points: Sequence[ControlPoint], say: Words) -> Iterator[tuple[Sign, str]]:
+def _legend(points: Sequence[ControlPoint], say: Words) -> Iterator[Entry]:
     def point_sign(style: Style) -> Sign:
         return lambda x, y: [dot((x + 12, y), DOT_RADIUS + 1, style)]
 

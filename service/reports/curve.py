@@ -8,13 +8,13 @@ from math import isfinite, log
 
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.specification import Verdict
-from service.base.language import Language
 from service.lots.figures import CurveStep
 from service.reports.drawing import (
     LABEL_SIZE,
     Anchor,
     ChartField,
     Drawing,
+    Look,
     Point,
     Shape,
     Sign,
@@ -29,9 +29,10 @@ from service.reports.drawing import (
 )
 from service.reports.words import Words, words
 
-FIELD = ChartField(top=14.0, bottom=314.0)
+FIELD = ChartField(top=14.0, bottom=314.0, beneath=88.0, legend_drop=5.2 * LABEL_SIZE)
 MARGIN = 1.12
 """The axis ends beyond the first and the last sieve by this factor."""
+LOOK = Look()
 HATCH_DISTANCE = 7.0
 MARKER_RADIUS = 4.5
 
@@ -47,13 +48,13 @@ class Beside:
 
 def curve_svg(
     steps: Sequence[CurveStep],
+    look: Look = LOOK,
     *,
-    language: Language = Language.ENGLISH,
     laboratory: Mapping[float, float] | None = None,
     beside: Beside | None = None,
 ) -> str:
     """Return the gradation curve as SVG, as an element of a page and as a file of its own alike."""
-    return svg(gradation_curve(steps, words(language), laboratory, beside), language)
+    return svg(gradation_curve(steps, words(look.language), laboratory, beside, look), look.language)
 
 
 def gradation_curve(
@@ -61,16 +62,20 @@ def gradation_curve(
     say: Words,
     laboratory: Mapping[float, float] | None = None,
     beside: Beside | None = None,
+    look: Look = LOOK,
 ) -> Drawing:
     """Return the curve; `laboratory` is the passing by sieve of a second one, percent, `beside` one of other stones."""
     shown = shown_steps(steps)
-    axes = Axes([step.sieve_mm for step in shown])
-    second = axes.shown(laboratory or {})
+    sizes = Axes([step.sieve_mm for step in shown])
+    second = sizes.shown(laboratory or {})
     passing = {} if beside is None else beside.passing_percent
-    others = axes.shown({size_mm: figure.value for size_mm, figure in passing.items()})
+    others = sizes.shown({size_mm: figure.value for size_mm, figure in passing.items()})
+    entries = list(_legend_entries(shown, say, beside, has_second=bool(second)))
+    axes = Axes([step.sieve_mm for step in shown], FIELD.fitted(look, entries))
     figures = [(size_mm, passing[size_mm]) for size_mm in others]
     return Drawing(
-        height=402.0,
+        width=axes.field.width,
+        height=axes.field.height,
         title=say("curve.title"),
         description=_description(shown, say) + _description_beside(figures, beside, say),
         shapes=(
@@ -86,11 +91,7 @@ def gradation_curve(
                 for step in shown
                 if _has_value(step)
             ),
-            *FIELD.legend(
-                _legend_entries(shown, say, beside, has_second=bool(second)),
-                FIELD.bottom + 5.2 * LABEL_SIZE,
-                gap=12,
-            ),
+            *axes.field.legend(entries),
         ),
         sieves=[(step.sieve_mm, axes.x(step.sieve_mm)) for step in shown],
     )
@@ -110,15 +111,16 @@ def shown_steps(steps: Sequence[CurveStep]) -> list[CurveStep]:
 class Axes:
     """Places of sizes and percents on the paper."""
 
-    def __init__(self, sizes_mm: Sequence[float]) -> None:
+    def __init__(self, sizes_mm: Sequence[float], field: ChartField = FIELD) -> None:
+        self.field = field
         self.least_mm = min(sizes_mm, default=1.0) / MARGIN
         self.greatest_mm = max(sizes_mm, default=1.0) * MARGIN
 
     def x(self, size_mm: float) -> float:
-        return FIELD.x(log(size_mm / self.least_mm) / log(self.greatest_mm / self.least_mm))
+        return self.field.x(log(size_mm / self.least_mm) / log(self.greatest_mm / self.least_mm))
 
     def y(self, percent: float) -> float:
-        return FIELD.y(percent / 100)
+        return self.field.y(percent / 100)
 
     def point(self, size_mm: float, percent: float) -> Point:
         return self.x(size_mm), self.y(percent)
@@ -153,16 +155,17 @@ def style_of(verdict: Verdict | None) -> Style:
 
 def grid(shown: Sequence[CurveStep], axes: Axes, say: Words) -> Iterator[Shape]:
     """Yield the lines of percents and sieves, and the names of both axes."""
+    field = axes.field
     for percent in range(0, 101, 10):
-        yield from FIELD.row(axes.y(percent), None if percent % 20 else say.number(percent, 0))
+        yield from field.row(axes.y(percent), None if percent % 20 else say.number(percent, 0))
     for x in (axes.x(step.sieve_mm) for step in shown):
-        yield line(((x, FIELD.top), (x, FIELD.bottom)), Style.GRID)
+        yield line(((x, field.top), (x, field.bottom)), Style.GRID)
     for x, text in _tick_labels(shown, axes, say):
-        yield label((x, FIELD.bottom + LABEL_SIZE + 5), text, Anchor.MIDDLE)
-    yield FIELD.frame()
-    below = FIELD.bottom + 2.6 * LABEL_SIZE + 5
-    yield label((FIELD.middle[0], below), say("curve.size_axis"), Anchor.MIDDLE)
-    yield label((LABEL_SIZE + 4, FIELD.middle[1]), say("curve.passing_axis"), Anchor.MIDDLE, is_turned=True)
+        yield label((x, field.bottom + LABEL_SIZE + 5), text, Anchor.MIDDLE)
+    yield field.frame()
+    below = field.bottom + 2.6 * LABEL_SIZE + 5
+    yield label((field.middle[0], below), say("curve.size_axis"), Anchor.MIDDLE)
+    yield from field.title(say("curve.passing_axis"))
 
 
 def _tick_labels(shown: Sequence[CurveStep], axes: Axes, say: Words) -> list[tuple[float, str]]:
@@ -195,9 +198,9 @@ def _unmeasured(shown: Sequence[CurveStep], axes: Axes, say: Words) -> Iterator[
     """Yield a hatched field for each range of sieves without a value, up to the next one with a value."""
     for left, right in unmeasured_ranges(shown, axes.least_mm, axes.greatest_mm):
         x0, x1 = axes.x(left), axes.x(right)
-        yield from _hatching(x0, x1, FIELD.top, FIELD.bottom)
+        yield from _hatching(x0, x1, axes.field.top, axes.field.bottom)
         text = say("state.not_measured")
-        width, x, y = label_width(text) + 8, (x0 + x1) / 2, FIELD.middle[1]
+        width, x, y = label_width(text) + 8, (x0 + x1) / 2, axes.field.middle[1]
         is_turned = x1 - x0 < width + 8
         if x1 - x0 > 2 * LABEL_SIZE:
             half = (LABEL_SIZE * 0.85, width / 2) if is_turned else (width / 2, LABEL_SIZE * 0.85)

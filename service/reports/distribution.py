@@ -4,7 +4,6 @@ import sqlite3
 from collections.abc import Iterator
 
 from pipeline.gradation.distributions import Distribution, ShapeMeasure
-from service.base.language import Language
 from service.lots.distributions import lot_distributions
 from service.lots.stones import Choice
 from service.reports.drawing import (
@@ -12,6 +11,7 @@ from service.reports.drawing import (
     Anchor,
     ChartField,
     Drawing,
+    Look,
     Shape,
     Style,
     box,
@@ -22,7 +22,7 @@ from service.reports.drawing import (
 )
 from service.reports.words import Words, words
 
-FIELD = ChartField(top=26.0, bottom=190.0)
+FIELD = ChartField(top=26.0, bottom=190.0, beneath=3 * LABEL_SIZE)
 STEPS_PERCENT = (5, 10, 20, 50)
 """Distances of the labels of the shares."""
 MOST_ROWS = 5
@@ -31,38 +31,40 @@ GAP = 0.06
 
 
 def stored_distribution_svg(
-    connection: sqlite3.Connection, lot: str, choice: Choice, measure: ShapeMeasure, language: Language
+    connection: sqlite3.Connection, lot: str, choice: Choice, measure: ShapeMeasure, look: Look
 ) -> str | None:
     """Return the drawing of a measure over a lot, or over a choice of its stones; None if there is no such lot."""
     found = lot_distributions(connection, lot, choice)
     if found is None:
         return None
-    return distribution_svg(next(each for each in found.items if each.measure == measure), language)
+    return distribution_svg(next(each for each in found.items if each.measure == measure), look)
 
 
-def distribution_svg(distribution: Distribution, language: Language) -> str:
+def distribution_svg(distribution: Distribution, look: Look) -> str:
     """Return the drawing of a distribution as SVG."""
-    say = words(language)
+    say = words(look.language)
+    field = FIELD.fitted(look)
     title = say(f"measure.{distribution.measure}")
-    shapes = list(_bars(distribution, say)) if distribution.classes else list(_nothing(say))
-    heading = label((FIELD.left, FIELD.top - LABEL_SIZE), say("distribution.title", measure=title))
+    shapes = list(_bars(distribution, field, say)) if distribution.classes else list(_nothing(field, say))
+    heading = label((field.left, field.top - LABEL_SIZE), say("distribution.title", measure=title))
     return svg(
         Drawing(
-            height=FIELD.bottom + 3 * LABEL_SIZE,
+            width=field.width,
+            height=field.height,
             title=title,
             description=_description(distribution, say),
             shapes=[heading, *shapes],
         ),
-        language,
+        look.language,
     )
 
 
-def _nothing(say: Words) -> Iterator[Shape]:
-    yield FIELD.frame()
-    yield label(FIELD.middle, say("state.not_measured"), Anchor.MIDDLE)
+def _nothing(field: ChartField, say: Words) -> Iterator[Shape]:
+    yield field.frame()
+    yield label(field.middle, say("state.not_measured"), Anchor.MIDDLE)
 
 
-def _bars(distribution: Distribution, say: Words) -> Iterator[Shape]:
+def _bars(distribution: Distribution, field: ChartField, say: Words) -> Iterator[Shape]:
     classes = distribution.classes
     least, greatest = classes[0].lower, classes[-1].upper
     highest = max(each.mass_percent for each in classes)
@@ -70,25 +72,25 @@ def _bars(distribution: Distribution, say: Words) -> Iterator[Shape]:
     top = -(-highest // step) * step
 
     def x(value: float) -> float:
-        return FIELD.x((min(max(value, least), greatest) - least) / (greatest - least))
+        return field.x((min(max(value, least), greatest) - least) / (greatest - least))
 
     for percent in range(0, int(top) + 1, step):
-        yield from FIELD.row(FIELD.y(percent / top), f"{percent} %")
+        yield from field.row(field.y(percent / top), f"{percent} %")
     median = distribution.quantiles[1].value
     if median.low is not None and median.high is not None:
-        yield box(x(median.low), FIELD.top, x(median.high), FIELD.bottom, Style.BESIDE_BAND)
+        yield box(x(median.low), field.top, x(median.high), field.bottom, Style.BESIDE_BAND)
     for each in classes:
         free = GAP * (each.upper - each.lower)
-        y = FIELD.y(each.mass_percent / top)
-        yield box(x(each.lower + free), y, x(each.upper - free), FIELD.bottom, Style.BAR)
+        y = field.y(each.mass_percent / top)
+        yield box(x(each.lower + free), y, x(each.upper - free), field.bottom, Style.BAR)
     if median.value is not None:
-        yield line(((x(median.value), FIELD.top), (x(median.value), FIELD.bottom)), Style.BESIDE)
-    yield FIELD.frame()
+        yield line(((x(median.value), field.top), (x(median.value), field.bottom)), Style.BESIDE)
+    yield field.frame()
     end = -1000.0
     for value in (least, *(each.upper for each in classes)):
         text = say.size(value)
         if x(value) - label_width(text) / 2 > end + 8:
-            yield label((x(value), FIELD.bottom + LABEL_SIZE + 5), text, Anchor.MIDDLE)
+            yield label((x(value), field.bottom + LABEL_SIZE + 5), text, Anchor.MIDDLE)
             end = x(value) + label_width(text) / 2
 
 

@@ -1,7 +1,7 @@
 """Drawings of charts as elements of SVG: y goes down, lengths are points."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from html import escape
 
@@ -47,6 +47,8 @@ Shape = str
 """An element of SVG."""
 Sign = Callable[[float, float], Iterable[Shape]]
 """The sign of an entry of a legend, drawn at a place."""
+Entry = tuple[Sign, str]
+"""An entry of a legend: its sign and its text."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +65,13 @@ class Drawing:
 
 LABEL_SIZE = 11.0
 """Size of the font of all labels."""
+ROW = 1.55 * LABEL_SIZE
+"""Distance of the lines of a legend."""
+LEAST_FIELD = 60.0
+"""Height that the field of a chart has at least, however little room there is."""
+LEGEND_GAP = 12.0
+NARROW = 500.0
+"""Width below which a legend begins at the border rather than at the field."""
 COLOURS = {  # light and dark; a page may set the variables itself, which then hold in both
     "ink": ("#1d2430", "#e8ebf0"),
     "paper": ("#ffffff", "#14181f"),
@@ -145,14 +154,46 @@ def _points(points: Iterable[Point]) -> str:
     return " ".join(f"{x:.2f},{y:.2f}" for x, y in points)
 
 
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How a drawing is asked for: its language, and its room, in which a letter is `LABEL_SIZE` high."""
+
+    language: Language = Language.ENGLISH
+    width: float = DRAWING_WIDTH
+    height: float | None = None
+    """Height of the room; as much as the drawing takes for none."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChartField:
     """The field of a chart, within its axes."""
 
     left: float = 58.0
-    right: float = 706.0
+    right: float = DRAWING_WIDTH - 14.0
     top: float
     bottom: float
+    beneath: float
+    """Room below the field, at least."""
+    legend_drop: float = 0.0
+    """Distance of the first line of the legend from the field."""
+
+    @property
+    def width(self) -> float:
+        """Width of the drawing."""
+        return self.right + 14.0
+
+    @property
+    def height(self) -> float:
+        """Height of the drawing."""
+        return self.bottom + self.beneath
+
+    def fitted(self, look: Look, entries: Sequence[Entry] = ()) -> "ChartField":
+        """Return the field that fits the room of a look, above a legend with these entries."""
+        wide = replace(self, right=look.width - 14.0)
+        _, y = wide._placed(entries)[-1] if entries else (0.0, self.bottom)
+        beneath = max(self.beneath, y - self.bottom + LABEL_SIZE)
+        bottom = self.bottom if look.height is None else max(look.height - beneath, self.top + LEAST_FIELD)
+        return replace(wide, bottom=bottom, beneath=beneath)
 
     @property
     def middle(self) -> Point:
@@ -177,16 +218,30 @@ class ChartField:
         (left, top), (right, bottom) = (self.left, self.top), (self.right, self.bottom)
         return line(((left, top), (right, top), (right, bottom), (left, bottom), (left, top)), Style.FRAME)
 
-    def legend(self, entries: Iterable[tuple[Sign, str]], y: float, gap: float) -> Iterator[Shape]:
+    def title(self, text: str) -> Iterator[Shape]:
+        """Yield the name of the upright axis, if there is room for it."""
+        if label_width(text) <= self.height:
+            middle = min(max(self.middle[1], label_width(text) / 2), self.height - label_width(text) / 2)
+            yield label((LABEL_SIZE + 2, middle), text, Anchor.MIDDLE, is_turned=True)
+
+    def legend(self, entries: Sequence[Entry]) -> Iterator[Shape]:
         """Yield a legend, each entry with its sign, in as many lines as it takes."""
-        x = self.left
-        for sign, text in entries:
-            width = 30 + label_width(text) + gap
-            if x + width > self.right + 12 and x > self.left:
-                x, y = self.left, y + 1.55 * LABEL_SIZE
+        for (sign, text), (x, y) in zip(entries, self._placed(entries), strict=True):
             yield from sign(x, y)
             yield label((x + 30, y + LABEL_SIZE / 3), text)
+
+    def _placed(self, entries: Sequence[Entry]) -> list[Point]:
+        """Return the place of each entry of the legend."""
+        left = self.left if self.width >= NARROW else LABEL_SIZE
+        x, y = left, self.bottom + self.legend_drop
+        places = []
+        for _, text in entries:
+            width = 30 + label_width(text) + LEGEND_GAP
+            if x + width > self.right + 12 and x > left:
+                x, y = left, y + ROW
+            places.append((x, y))
             x += width
+        return places
 
 
 def svg(drawing: Drawing, language: Language, *, is_printed: bool = False) -> str:

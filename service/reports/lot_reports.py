@@ -20,6 +20,7 @@ from service.lots.yardsticks import Request
 from service.particles.renditions import NotKeptError, stone_png
 from service.reports.csv_file import render_csv
 from service.reports.curve import Beside, curve_svg
+from service.reports.drawing import Look
 from service.reports.printed import render_html, render_pdf
 from service.reports.report import EndedVerification, GalleryReason, GalleryStone, ReportData, ReportFormat
 from service.reports.words import words
@@ -71,7 +72,7 @@ class CurveRequest:
     """How a curve is to be drawn, and what beside it."""
 
     figures: Request
-    language: Language
+    look: Look
     beside_lot: str | None = None
     beside_algorithm_version: str | None = None
 
@@ -183,7 +184,9 @@ def lot_curve_svg(
     figures = lot_figures(connection, lot, wanted.figures, choice)
     if figures is None:
         return None
-    return _curve_svg(connection, figures, _name(lot, choice.algorithm_version, wanted.language), lot, wanted)
+    return _curve_svg(
+        connection, figures, _name(lot, choice.algorithm_version, wanted.look.language), lot, wanted
+    )
 
 
 def window_curve_svg(
@@ -208,14 +211,14 @@ def _curve_svg(
     if other is not None:
         beside = Beside(
             first_name=name,
-            name=_name(other, version, wanted.language),
+            name=_name(other, version, wanted.look.language),
             passing_percent=passing_of(
                 stones_of_lot(connection, other, Choice(algorithm_version=version)).lot,
                 [step.sieve_mm for step in figures.curve],
                 wanted.figures.measured,
             ),
         )
-    return curve_svg(figures.curve, language=wanted.language, beside=beside)
+    return curve_svg(figures.curve, wanted.look, beside=beside)
 
 
 def _name(lot: str, algorithm_version: str | None, language: Language) -> str:

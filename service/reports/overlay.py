@@ -4,17 +4,15 @@ import sqlite3
 from collections.abc import Iterator, Sequence
 from functools import partial
 
-from service.base.language import Language
 from service.lots.figures import CurveStep
 from service.lots.overlay import OverlaidStep, Overlay, Reference, ReferenceKind, overlay
 from service.lots.yardsticks import Request
 from service.reports.curve import FIELD, Axes, grid, shown_steps
-from service.reports.drawing import LABEL_SIZE, Drawing, Point, Shape, Sign, Style, area, box, line, svg
+from service.reports.drawing import Drawing, Entry, Look, Point, Shape, Style, area, box, line, svg
 from service.reports.words import Words, words
 
 COLOURS = ("#1c7fd6", "#d9480f", "#7048e8", "#b08900", "#0c8599", "#d6336c")
 """Colours of the lots in their order, on light and dark pages alike; after the last they begin again, with dashes."""
-ROW = 1.55 * LABEL_SIZE
 
 
 def stored_overlay_svg(
@@ -22,16 +20,16 @@ def stored_overlay_svg(
     names: Sequence[str],
     kind: ReferenceKind | None,
     request: Request,
-    language: Language,
+    look: Look,
 ) -> str | None:
     """Return the drawing of the curves of lots; None if one of them does not exist."""
     found = overlay(connection, names, kind, request)
-    return None if found is None else overlay_svg(found, language)
+    return None if found is None else overlay_svg(found, look)
 
 
-def overlay_svg(found: Overlay, language: Language) -> str:
+def overlay_svg(found: Overlay, look: Look) -> str:
     """Return the drawing of an overlay as SVG."""
-    say = words(language)
+    say = words(look.language)
     shown = shown_steps(
         [
             CurveStep(
@@ -46,7 +44,8 @@ def overlay_svg(found: Overlay, language: Language) -> str:
             for steps in zip(*(each.curve for each in found.lots), strict=True)
         ]
     )
-    axes = Axes([step.sieve_mm for step in shown])
+    entries = list(_entries(found, say))
+    axes = Axes([step.sieve_mm for step in shown], FIELD.fitted(look, entries))
     shapes = [*grid(shown, axes, say)]
     if found.reference is not None:
         shapes += _band(found.reference, axes)
@@ -54,14 +53,14 @@ def overlay_svg(found: Overlay, language: Language) -> str:
         passing = {step.sieve_mm: step.passing_percent.value for step in each.curve}
         points = [axes.point(*point) for point in axes.shown(passing).items()]
         shapes.append(_curve(points, place))
-    legend = FIELD.legend(_entries(found, say), FIELD.bottom + 5.2 * LABEL_SIZE, gap=12)
     drawing = Drawing(
-        height=402.0 + ROW * (len(found.lots) // 3),
+        width=axes.field.width,
+        height=axes.field.height,
         title=say("curve.title"),
         description="; ".join(f"{each.lot}: {_described(each.curve, say)}" for each in found.lots),
-        shapes=[*shapes, *legend],
+        shapes=[*shapes, *axes.field.legend(entries)],
     )
-    return svg(drawing, language)
+    return svg(drawing, look.language)
 
 
 def _band(reference: Reference, axes: Axes) -> Iterator[Shape]:
@@ -85,7 +84,7 @@ def _curve(points: Sequence[Point], place: int) -> Shape:
     return f'<polyline fill="none" stroke="{COLOURS[place % len(COLOURS)]}" stroke-width="2"{dashes} points="{drawn}"/>'
 
 
-def _entries(found: Overlay, say: Words) -> Iterator[tuple[Sign, str]]:
+def _entries(found: Overlay, say: Words) -> Iterator[Entry]:
     def sign(place: int, x: float, y: float) -> Iterator[Shape]:
         yield _curve(((x, y), (x + 24, y)), place)
 

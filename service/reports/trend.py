@@ -10,7 +10,6 @@ from math import floor, log10
 
 from pipeline.gradation.estimates import NOT_MEASURED, Estimate, State
 from pipeline.gradation.sieves import MeasuredRange
-from service.base.language import Language
 from service.lots.products import find_product
 from service.lots.trends.changes import ChangedFigure
 from service.lots.trends.control import LotLimits, lot_limits, product_alarms
@@ -18,14 +17,14 @@ from service.lots.trends.diary import DiaryEntry
 from service.lots.trends.trend import PassingEnd, Trend, TrendBucket, ends_mm, trend
 from service.lots.yardsticks import Request, yardstick_of
 from service.reports.drawing import (
-    DRAWING_WIDTH,
     LABEL_SIZE,
     Anchor,
     ChartField,
     Drawing,
+    Entry,
+    Look,
     Point,
     Shape,
-    Sign,
     Style,
     area,
     box,
@@ -37,9 +36,11 @@ from service.reports.drawing import (
 )
 from service.reports.words import Words, words
 
-FIELD = ChartField(top=26.0, bottom=190.0)
-LOTS_TOP, LOTS_BOTTOM = FIELD.bottom + 24, FIELD.bottom + 40
-MAX_TICKS = 8
+LOTS_TOP, LOTS_BOTTOM = 24.0, 40.0
+"""Ends of the bars of lots, below the field."""
+FIELD = ChartField(top=26.0, bottom=190.0, beneath=78.0, legend_drop=LOTS_BOTTOM + 1.6 * LABEL_SIZE)
+TICK_WIDTH = 80.0
+"""Room of a label of time."""
 DOT_RADIUS = 2.6
 MARGIN = 0.08
 """Part of the range of values that is left free above and below."""
@@ -90,17 +91,20 @@ Values = Sequence[tuple[datetime, Estimate]]
 def trend_svg(
     trend: Trend,
     figure: TrendFigure,
-    language: Language,
+    look: Look,
     zone: tzinfo | None = None,
     product: ProductTrend = NO_PRODUCT,
 ) -> str:
     """Return the drawing of one figure; clock times are of `zone`, by default the host's."""
-    say = words(language)
+    say = words(look.language)
     values = [_value(bucket, figure, trend.bucket_s, product.sieve_mm) for bucket in trend.buckets]
-    axes = _Axes(trend, values, product.limits, starts_at_zero=figure is TrendFigure.RATE)
+    entries = list(_legend_entries(trend, values, product, say))
+    ends = _ends(values, product.limits)
+    axes = _Axes(trend, ends, FIELD.fitted(look, entries), starts_at_zero=figure is TrendFigure.RATE)
     title = _title(figure, product.sieve_mm, say)
     drawing = Drawing(
-        height=268.0,
+        width=axes.field.width,
+        height=axes.field.height,
         title=title,
         description=_description(title, trend, values, say, zone, axes.decimals),
         shapes=(
@@ -109,13 +113,11 @@ def trend_svg(
             *_lots(trend, axes),
             *_line(values, axes, say),
             *_marks(trend, axes, say),
-            *(_alarm(axes.x(datetime.fromisoformat(at)), FIELD.bottom) for at in product.alarms),
-            *FIELD.legend(
-                _legend_entries(trend, values, product, say), LOTS_BOTTOM + 1.6 * LABEL_SIZE, gap=14
-            ),
+            *(_alarm(axes.x(datetime.fromisoformat(at)), axes.field.bottom) for at in product.alarms),
+            *axes.field.legend(entries),
         ),
     )
-    return svg(drawing, language)
+    return svg(drawing, look.language)
 
 
 def stored_trend_svg(
@@ -124,7 +126,7 @@ def stored_trend_svg(
     hours: float,
     measured: MeasuredRange,
     figure: TrendFigure,
-    language: Language,
+    look: Look,
     product: str | None = None,
 ) -> str:
     """Return the drawing of one figure over the last hours, made on a connection to the store.
@@ -146,24 +148,17 @@ def stored_trend_svg(
         limits=None if found is None else lot_limits(connection, found.product, name),
         alarms=product_alarms(connection, drawn.since, drawn.until),
     )
-    return trend_svg(drawn, figure, language, product=of_product)
+    return trend_svg(drawn, figure, look, product=of_product)
 
 
 class _Axes:
     """Places of times and values on the paper."""
 
     def __init__(
-        self, trend: Trend, values: Values, limits: LotLimits | None = None, *, starts_at_zero: bool
+        self, trend: Trend, ends: Sequence[float], field: ChartField, *, starts_at_zero: bool
     ) -> None:
+        self.field = field
         self.since, self.until = (datetime.fromisoformat(each) for each in (trend.since, trend.until))
-        is_judged = any(each.state is not State.INSUFFICIENT for _, each in values)
-        ends = [
-            end
-            for _, each in values
-            for end in (each.value, *(() if is_judged and _is_few(each) else (each.low, each.high)))
-            if end is not None
-        ]
-        ends += [] if limits is None else [max(limits.lower, 0.0), limits.upper]
         low, high = (min(ends), max(ends)) if ends else (0.0, 1.0)
         if starts_at_zero:
             low = 0.0
@@ -176,10 +171,10 @@ class _Axes:
 
     def x(self, at: datetime) -> float:
         share = (at - self.since) / ((self.until - self.since) or timedelta(seconds=1))
-        return FIELD.x(min(max(share, 0.0), 1.0))
+        return self.field.x(min(max(share, 0.0), 1.0))
 
     def y(self, value: float) -> float:
-        return FIELD.y((value - self.least) / (self.greatest - self.least))
+        return self.field.y((value - self.least) / (self.greatest - self.least))
 
     def point(self, at: datetime, value: float) -> Point:
         return self.x(at), self.y(value)
@@ -193,13 +188,26 @@ class _Axes:
     def ticks(self, zone: tzinfo | None) -> Iterator[datetime]:
         """Yield the times that have a label, whole ones of the day where the clock stands."""
         span = self.until - self.since
-        step = next((each for each in STEPS if span / each <= MAX_TICKS), STEPS[-1])
+        most = (self.field.right - self.field.left) / TICK_WIDTH
+        step = next((each for each in STEPS if span / each <= most), STEPS[-1])
         local = self.since.astimezone(zone)
         at = local.replace(hour=0, minute=0, second=0, microsecond=0)
         while at <= self.until:
             if at >= self.since:
                 yield at
             at += step
+
+
+def _ends(values: Values, limits: LotLimits | None) -> list[float]:
+    """Return the values that are to be seen."""
+    is_judged = any(each.state is not State.INSUFFICIENT for _, each in values)
+    ends = [
+        end
+        for _, each in values
+        for end in (each.value, *(() if is_judged and _is_few(each) else (each.low, each.high)))
+        if end is not None
+    ]
+    return ends if limits is None else [*ends, max(limits.lower, 0.0), limits.upper]
 
 
 def nice_step(least: float) -> float:
@@ -234,21 +242,22 @@ def _is_few(figure: Estimate) -> bool:
 
 
 def _grid(axes: _Axes, title: str, say: Words, zone: tzinfo | None) -> Iterator[Shape]:
+    field = axes.field
     for level in axes.levels():
-        yield from FIELD.row(axes.y(level), say.number(level, axes.decimals))
+        yield from field.row(axes.y(level), say.number(level, axes.decimals))
     for at in axes.ticks(zone):
         x = axes.x(at)
-        yield line(((x, FIELD.top), (x, FIELD.bottom)), Style.GRID)
+        yield line(((x, field.top), (x, field.bottom)), Style.GRID)
         text = at.strftime(say("trend.day" if (at.hour, at.minute) == (0, 0) else "trend.clock"))
-        middle = min(x, DRAWING_WIDTH - 2 - label_width(text) / 2)
-        yield label((middle, FIELD.bottom + LABEL_SIZE + 4), text, Anchor.MIDDLE)
-    yield FIELD.frame()
-    yield label((LABEL_SIZE + 2, FIELD.middle[1]), title, Anchor.MIDDLE, is_turned=True)
+        middle = min(x, field.width - 2 - label_width(text) / 2)
+        yield label((middle, field.bottom + LABEL_SIZE + 4), text, Anchor.MIDDLE)
+    yield field.frame()
+    yield from field.title(title)
 
 
 def _line(values: Values, axes: _Axes, say: Words) -> Iterator[Shape]:
     if all(each.value is None for _, each in values):
-        yield label(FIELD.middle, say("trend.nothing"), Anchor.MIDDLE)
+        yield label(axes.field.middle, say("trend.nothing"), Anchor.MIDDLE)
     for has_value, group in groupby(values, lambda each: each[1].value is not None):
         if not has_value:
             continue
@@ -284,7 +293,7 @@ def _limits(limits: LotLimits | None, axes: _Axes) -> Iterator[Shape]:
             (limits.upper, Style.LIMIT),
         ):
             if value >= axes.least:
-                yield line(((FIELD.left, axes.y(value)), (FIELD.right, axes.y(value))), style)
+                yield line(((axes.field.left, axes.y(value)), (axes.field.right, axes.y(value))), style)
 
 
 def _alarm(x: float, y: float) -> Shape:
@@ -294,16 +303,17 @@ def _alarm(x: float, y: float) -> Shape:
 
 def _marks(trend: Trend, axes: _Axes, say: Words) -> Iterator[Shape]:
     """Yield a line for each entry of the diary, with its word where there is room."""
-    right = FIELD.left - 4.0
+    field = axes.field
+    right = field.left - 4.0
     for entry in trend.diary:
         x = axes.x(datetime.fromisoformat(entry.at))
-        yield line(((x, FIELD.top - 6), (x, FIELD.bottom)), Style.MARK)
-        yield _mark(x, FIELD.top - 6)
+        yield line(((x, field.top - 6), (x, field.bottom)), Style.MARK)
+        yield _mark(x, field.top - 6)
         text = entry_name(entry, say)
         width = label_width(text)
-        place = min(max(x - width / 2, right + 4), FIELD.right - width)
+        place = min(max(x - width / 2, right + 4), field.right - width)
         if place >= right + 4 and abs(place + width / 2 - x) <= width / 2 + 8:
-            yield label((place, FIELD.top - 14), text)
+            yield label((place, field.top - 14), text)
             right = place + width
 
 
@@ -324,14 +334,13 @@ def _lots(trend: Trend, axes: _Axes) -> Iterator[Shape]:
     for lot in trend.lots:
         left = axes.x(datetime.fromisoformat(lot.opened_at))
         right = axes.x(datetime.fromisoformat(lot.closed_at or trend.until))
-        yield box(left, LOTS_TOP, right, LOTS_BOTTOM, Style.LOT)
+        top, bottom = axes.field.bottom + LOTS_TOP, axes.field.bottom + LOTS_BOTTOM
+        yield box(left, top, right, bottom, Style.LOT)
         if label_width(lot.lot) + 6 < right - left:
-            yield label(((left + right) / 2, LOTS_BOTTOM - 4), lot.lot, Anchor.MIDDLE)
+            yield label(((left + right) / 2, bottom - 4), lot.lot, Anchor.MIDDLE)
 
 
-def _legend_entries(
-    trend: Trend, values: Values, product: ProductTrend, say: Words
-) -> Iterator[tuple[Sign, str]]:
+def _legend_entries(trend: Trend, values: Values, product: ProductTrend, say: Words) -> Iterator[Entry]:
     def value(x: float, y: float) -> Iterator[Shape]:
         if has_band:
             yield box(x, y - 5, x + 24, y + 5, Style.BAND)

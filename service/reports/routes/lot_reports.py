@@ -15,6 +15,7 @@ from service.lots.routes.lot_figures import Choosing, Figuring, Measuring, Minut
 from service.lots.routes.lots import LotName
 from service.lots.yardsticks import Request
 from service.reports.distribution import stored_distribution_svg
+from service.reports.drawing import DRAWING_WIDTH, Look
 from service.reports.lot_reports import (
     CurveRequest,
     ReportRequest,
@@ -43,7 +44,23 @@ REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 ReportLanguage = Annotated[Language, Query(description="Language of the report")]
 KEEP_S = 2.0
 """How long a drawing is kept for others who ask for it."""
-DrawingLanguage = Annotated[Language, Query(description="Language of the drawing")]
+
+
+def look_of(
+    language: Annotated[Language, Query(description="Language of the drawing")] = Language.ENGLISH,
+    width_px: Annotated[
+        int, Query(ge=240, le=2400, description="Width of the drawing, whose letters are 11 px high")
+    ] = int(DRAWING_WIDTH),
+    height_px: Annotated[
+        int | None,
+        Query(ge=120, le=1600, description="Height of the drawing; as much as it takes when absent"),
+    ] = None,
+) -> Look:
+    """Return how a drawing is asked for."""
+    return Look(language, width_px, height_px)
+
+
+Looking = Annotated[Look, Depends(look_of)]
 
 
 @router.get("/lots/{lot}/report", response_class=Response, responses={**REPORTS, **problem_responses(406)})
@@ -111,7 +128,7 @@ async def _issued(context: ApiContext, lot: str, report_format: ReportFormat, re
 async def curve_request_of(
     context: Context,
     measuring: Measuring,
-    language: DrawingLanguage = Language.ENGLISH,
+    look: Looking,
     beside_lot: Annotated[
         str | None, Query(pattern=ID, description="Draw the curve of this lot beside it, at the same sieves")
     ] = None,
@@ -128,7 +145,7 @@ async def curve_request_of(
         existing(await context.store.read(find_lot, beside_lot), "lot", beside_lot)
     return CurveRequest(
         figures=measuring,
-        language=language,
+        look=look,
         beside_lot=beside_lot,
         beside_algorithm_version=beside_algorithm_version,
     )
@@ -157,10 +174,10 @@ async def lot_distribution(
     lot: LotName,
     measure: Annotated[ShapeMeasure, Path(description="Field of a result")],
     choosing: Choosing,
-    language: DrawingLanguage = Language.ENGLISH,
+    look: Looking,
 ) -> Response:
     """Draw the distribution of a measure of shape over a lot, by mass."""
-    text = await shared(context, stored_distribution_svg, lot, choosing, measure, language, keep_s=KEEP_S)
+    text = await shared(context, stored_distribution_svg, lot, choosing, measure, look, keep_s=KEEP_S)
     return svg_answer(asked, existing(text, "lot", lot))
 
 
@@ -171,7 +188,7 @@ async def current_curve(
     context: Context, asked: HttpRequest, wanted: Drawing, minutes: Minutes = 60.0, product: ProductId = None
 ) -> Response:
     """Draw the gradation curve of the last minutes: of all that fell, in any lot or in none."""
-    name = words(wanted.language)("curve.last_minutes", minutes=f"{minutes:g}")
+    name = words(wanted.look.language)("curve.last_minutes", minutes=f"{minutes:g}")
     since, until = last_minutes(minutes)
     text = await shared(context, window_curve_svg, since, until, product, name, wanted, keep_s=KEEP_S)
     return svg_answer(asked, existing(text, "product", str(product)))

@@ -22,7 +22,7 @@ from service.lots.trends.trend import Trend, trend
 from service.reports.changes import told_changes
 from service.reports.control import stored_control_svg
 from service.reports.overlay import stored_overlay_svg
-from service.reports.routes.lot_reports import DrawingLanguage
+from service.reports.routes.lot_reports import Looking
 from service.reports.trend import TrendFigure, stored_trend_svg
 from service.web.auth import READABLE
 from service.web.context import ApiContext, Context
@@ -62,8 +62,8 @@ async def get_trend_drawing(
             " `passing_lower` and `passing_upper`: passing at the sieves of d and D of `product`"
         ),
     ],
+    look: Looking,
     hours: Hours = 12.0,
-    language: DrawingLanguage = Language.ENGLISH,
     product: Annotated[
         str | None, Query(pattern=ID, description="Product whose control limits are drawn; none when absent")
     ] = None,
@@ -74,7 +74,7 @@ async def get_trend_drawing(
     drawn where there are any.
     """
     now, measured = rfc3339(next_second()), context.part(LotsSettings).measured
-    given = (stored_trend_svg, now, hours, measured, figure, language, product)
+    given = (stored_trend_svg, now, hours, measured, figure, look, product)
     text = await shared(context, *given, keep_s=KEEP_S)
     return svg_answer(asked, text or "")
 
@@ -92,11 +92,11 @@ async def get_control_drawing(
     figure: Annotated[
         str, Path(max_length=100, description="Such as `d50_mm`; `/products/{product}/control` names all")
     ],
-    language: DrawingLanguage = Language.ENGLISH,
+    look: Looking,
 ) -> Response:
     """Draw the control chart of a figure: the newest 60 lots, limits, weighted mean, and entries of the diary."""
     measured = context.part(LotsSettings).measured
-    text = await context.read_beside(stored_control_svg, product, figure, measured, language)
+    text = await context.read_beside(stored_control_svg, product, figure, measured, look)
     return svg_answer(asked, existing(text, "chart", f"{product}, {figure}"))
 
 
@@ -161,12 +161,12 @@ async def draw_curves(
     asked: HttpRequest,
     measuring: Measuring,
     lots: Overlaid,
+    look: Looking,
     reference: Banded = None,
-    language: DrawingLanguage = Language.ENGLISH,
 ) -> Response:
     """Draw the curves of many lots, twelve at most, with the band."""
     await _all_exist(context, lots)
-    given = (stored_overlay_svg, tuple(dict.fromkeys(lots)), reference, measuring, language)
+    given = (stored_overlay_svg, tuple(dict.fromkeys(lots)), reference, measuring, look)
     text = await shared(context, *given, keep_s=KEEP_S)
     return svg_answer(asked, existing(text, "lot", lots[0]))
 

@@ -3,8 +3,9 @@
 import { get, getText } from "./api.js";
 import { latestOnly } from "./asking.js";
 import { byId, figureCell, html, rowHead, setText, show, svgFromServer, table } from "./dom.js";
+import { lookIn, whenResized } from "./drawn.js";
 import { holdPaint, showProblem, startPage, titled } from "./header.js";
-import { language, number, sieve, word, wordOr } from "./words.js";
+import { number, sieve, word, wordOr } from "./words.js";
 
 const SIDES = ["a", "b"];
 const REFERENCES = ["specification", "history"];
@@ -38,6 +39,7 @@ const renderAddress = () => {
   renderOverlay(asked).catch(showProblem);
 };
 window.addEventListener("popstate", renderAddress);
+for (const each of ["curves", "overlay"]) whenResized(byId(each), renderAddress);
 renderAddress();
 
 async function render(asked) {
@@ -61,7 +63,7 @@ async function renderOverlay(asked) {
   show(byId("overlaid"), names.map((name) => html.option({ value: name, selected: wanted.includes(name) }, name)));
   const references = REFERENCES.map((each) => [each, word(`compare.reference-${each}`)]);
   fill(byId("reference"), word("compare.reference-none"), references, asked.get("reference") ?? "");
-  const query = new URLSearchParams([...wanted.map((name) => ["lot", name]), ["language", language()]]);
+  const query = new URLSearchParams([...wanted.map((name) => ["lot", name]), ...new URLSearchParams(lookIn(byId("overlay")))]);
   if (asked.get("reference")) query.set("reference", asked.get("reference"));
   const drawing = await latestOverlay(wanted.length > 0 && getText(`/comparisons/curves.svg?${query}`));
   show(byId("overlay"), drawing && svgFromServer(drawing));
@@ -93,7 +95,7 @@ function fill(select, none, options, value) {
 }
 
 function curveAddress(query) {
-  const sides = { algorithm_version: query.get("a_algorithm_version"), beside_lot: query.get("b"), beside_algorithm_version: query.get("b_algorithm_version"), language: language() };
+  const sides = { algorithm_version: query.get("a_algorithm_version"), beside_lot: query.get("b"), beside_algorithm_version: query.get("b_algorithm_version"), ...Object.fromEntries(new URLSearchParams(lookIn(byId("curves")))) };
   return `/lots/${encodeURIComponent(query.get("a"))}/curve.svg?${new URLSearchParams(Object.entries(sides).filter(([, value]) => value !== null))}`;
 }
 

@@ -3,6 +3,7 @@
 import { BASE, get, getText } from "./api.js";
 import { latestOnly } from "./asking.js";
 import { byId, html, setText, show, svgFromServer } from "./dom.js";
+import { lookIn, whenResized } from "./drawn.js";
 import { showProblem, startPage, titled } from "./header.js";
 import { showDistributions, showFigures, showSteps } from "./lot_figures.js";
 import { COVERAGE } from "./measures.js";
@@ -40,6 +41,7 @@ byId("measure").addEventListener("change", () => showShape().catch(showProblem))
 const nearEnd = new IntersectionObserver((entries) => {
   if (entries.some(({ isIntersecting }) => isIntersecting) && !byId("more").disabled) showMore();
 }, { rootMargin: "400px" });
+whenResized(byId("curve"), () => showLot().catch(showProblem));
 window.addEventListener("popstate", () => {
   asked = new URLSearchParams(location.search);
   render();
@@ -122,7 +124,7 @@ async function showLot() {
   const found = await latestFigures(lot && Promise.all([
     get(`${lotPath()}/gradation?${sieves}`),
     out.length === 0 ? null : get(`${lotPath()}/gradation?${without}`),
-    getText(`${lotPath()}/curve.svg?${new URLSearchParams([["language", language()], ...without])}`),
+    getText(`${lotPath()}/curve.svg?${lookIn(byId("curve"))}&${without}`),
   ]));
   if (found === null) return;
   const [all, fewer, drawing] = found;
@@ -141,7 +143,7 @@ async function showShape() {
   const measure = byId("measure").value || "elongation_ratio";
   const [{ items }, drawing] = await latestShape(Promise.all([
     get(`${lotPath()}/distributions?${new URLSearchParams(without)}`),
-    getText(`${lotPath()}/distributions/${measure}.svg?${new URLSearchParams([["language", language()], ...without])}`),
+    getText(`${lotPath()}/distributions/${measure}.svg?${lookIn(byId("distribution"))}&${new URLSearchParams(without)}`),
   ]));
   show(byId("measure"), items.map((each) => html.option({ value: each.measure, selected: each.measure === measure }, word(`measure.${each.measure}`))));
   show(byId("distribution"), svgFromServer(drawing));

@@ -28,11 +28,26 @@ export async function startPage() {
   });
   setTimeout(paint, MOST_HELD_MS);
   show(byId("tools"), html.span({ id: "who" }), languageButton(), themeButton(), document.fullscreenEnabled && fullScreenButton());
+  mountMenu();
   window.addEventListener("sign-in-needed", () => isSignIn() || showBanner("sign-in", word("header.sign-in-needed"), signInLink(), pairLink()));
   holdPaint(new Promise((known) => poll(byId("who"), RENEW_S, () => showWho().finally(known)))); // asking renews the session
   window.addEventListener("beforeprint", notePrint);
   notePrint();
   holdPaint(get("/overview").then(showOrigin)); // a page that follows the rig calls it again
+}
+
+/** Open and close what a narrow page has room for in a menu only. */
+function mountMenu() {
+  const menu = byId("menu");
+  const isOpen = () => menu.getAttribute("aria-expanded") === "true";
+  const open = (isWanted) => menu.setAttribute("aria-expanded", String(isWanted));
+  menu.addEventListener("click", () => open(!isOpen()));
+  document.addEventListener("click", ({ target }) => target.closest("#menu, #choices") || open(false));
+  document.addEventListener("keydown", ({ key }) => {
+    if (key !== "Escape" || !isOpen()) return;
+    open(false);
+    menu.focus();
+  });
 }
 
 /** Put what the page shows before the name of the site, in the title of its tab. */

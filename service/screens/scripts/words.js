@@ -13,10 +13,17 @@ export function language() {
 /** Load the words, and put those of elements with `data-word` in their place. */
 export async function loadWords() {
   const response = await fetch(new URL(`../words/${language()}.json`, import.meta.url));
-  words = await response.json();
+  words = withBreaks(await response.json());
   document.documentElement.lang = language();
   for (const place of document.querySelectorAll("[data-word]")) place.textContent = word(place.dataset.word);
   for (const place of document.querySelectorAll("[data-word-label]")) place.setAttribute("aria-label", word(place.dataset.wordLabel));
+}
+
+/** Return the words with soft hyphens in the long ones, as no browser of Debian knows where to break them. */
+function withBreaks({ "header.breaks": breaks, ...found }) {
+  const places = breaks.split(" ").filter((each) => each !== "").map((each) => [each.replaceAll("-", ""), each.replaceAll("-", "\u00ad")]);
+  const broken = (text) => places.reduce((text, [whole, parts]) => text.replaceAll(whole, parts), text);
+  return Object.fromEntries(Object.entries(found).map(([key, text]) => [key, broken(text)]));
 }
 
 /** Remember the language and show the page in it. */

@@ -34,15 +34,16 @@ function render({ items, shelved, suppressed }) {
   ]);
 }
 
+const found = ({ findings }) => findings.map(said).join("; ");
+
 const card = (alarm) =>
   html.article({ class: `alarm ${alarm.state}`, "data-id": alarm.id, "data-priority": alarm.priority, "data-check": alarm.check },
-    html.p({ class: "priority" }, prioritySymbol(alarm.priority), word(`operator.priority-${alarm.priority}`), " · ", word(`operator.alarm-${alarm.state}`)),
+    html.p({ class: "priority" }, prioritySymbol(alarm.priority), html.span(word(`operator.priority-${alarm.priority}`), " · ", word(`operator.alarm-${alarm.state}`), " · ", since(alarm))),
     html.h3(headline(alarm)),
     html.p(html.strong(word("operator.what-to-do")), " ", alarm.action),
-    alarm.findings.map((each) => html.p({ class: "detail" }, said(each))),
+    alarm.findings.length > 0 && html.p({ class: "detail", title: found(alarm) }, found(alarm)),
     language() !== "en" && alarm.findings.some(({ parameters }) => "reported" in parameters) && html.details(
       html.summary(word("operator.reported")), html.p({ class: "detail", lang: "en" }, `${alarm.check}: ${alarm.detail}`)),
-    html.p({ class: "weak" }, since(alarm)),
     html.div({ class: "actions" },
       alarm.state !== "acknowledged" && actionButton("operator.acknowledge", () => act(alarm, "acknowledge"), { class: "main" }),
       html.button({ type: "button", onclick: () => shelve(alarm) }, word("operator.shelve")),

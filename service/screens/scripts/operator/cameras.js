@@ -38,7 +38,7 @@ function update(camera) {
   place.dataset.ne107 = ne107;
   showNew(place.querySelector(".state"), [state, ne107], () => {
     const text = state === "armed" ? ne107Word(ne107) : word(`operator.camera-${state}`);
-    return [ne107Symbol(ne107), ne107 === "good" && state === "armed" ? html.span({ class: "only-read" }, text) : text];
+    return [ne107Symbol(ne107), html.span({ class: ne107 === "good" && state === "armed" ? "only-read" : null }, text)];
   });
   VALUES.forEach((value) => setText(place.querySelector(`[data-field="${value[0]}"]`), told(camera, value)));
 }

@@ -4,7 +4,8 @@ import { getText } from "../api.js";
 import { latestOnly } from "../asking.js";
 import { mountDiary, showChanges } from "./diary.js";
 import { byId, html, setText, show, svgFromServer } from "../dom.js";
-import { language, number, sieve, word } from "../words.js";
+import { lookIn, whenResized } from "../drawn.js";
+import { number, sieve, word } from "../words.js";
 
 /** Which hours are looked at, and how often they are drawn anew: an hour is quick to draw, and its end is watched. */
 const REFRESH_MS = { 1: 10_000, 12: 60_000, 24: 60_000 };
@@ -37,6 +38,7 @@ export function mountTrends() {
     isOfLots = !isOfLots;
     drawTrend();
   };
+  whenResized(byId("trend"), drawTrend, true);
   mountDiary(refresh);
   choose(hours);
   setInterval(() => showChanges(hours), CHANGES_MS);
@@ -91,8 +93,8 @@ async function drawTrend() {
   byId("control-chart").setAttribute("aria-pressed", String(isOfLots));
   const figure = drawn in sieves ? `passing_${sieves[drawn]}_mm_percent` : TILES.find(([name]) => name === drawn)[1];
   const asked = isOfLots && product && figure
-    ? `/products/${encodeURIComponent(product)}/control/${figure}.svg?language=${language()}`
-    : `/trends/${drawn}.svg?hours=${hours}&language=${language()}${product ? `&product=${encodeURIComponent(product)}` : ""}`;
+    ? `/products/${encodeURIComponent(product)}/control/${figure}.svg?${lookIn(byId("trend"), true)}`
+    : `/trends/${drawn}.svg?hours=${hours}&${lookIn(byId("trend"), true)}${product ? `&product=${encodeURIComponent(product)}` : ""}`;
   byId("trend").dataset.asked = asked;
   const text = await latest(getText(asked)).catch(() => null);
   if (text !== null) show(byId("trend"), svgFromServer(text));

@@ -11,6 +11,7 @@ from pipeline.gradation.specification import Verdict
 from pipeline.segmentation.silhouette import ViewStatus
 from service import screens
 from service.base.language import Language, figure_names
+from service.base.messages import message_words
 from service.base.status import AcquisitionState, DeviceState, Ne107
 from service.calibration.states import CalibrationState
 from service.calibration.verifications import VerificationState
@@ -110,3 +111,14 @@ def test_all_measures_of_the_form_have_names_and_all_names_are_of_measures() -> 
 )
 def test_every_value_that_is_told_has_words(prefix: str, values: list[str]) -> None:
     assert [value for value in values if f"{prefix}{value}" not in WORDS[Language.ENGLISH]] == []
+
+
+@pytest.mark.parametrize("language", Language)
+def test_all_long_words_can_be_broken(language: Language) -> None:
+    told = {**WORDS[language], **figure_names(language), **message_words(language)}
+    parts = told.pop("header.breaks").split()
+    stems = [each.replace("-", "") for each in parts]
+    assert len(set(stems)) == len(stems)
+    words = {each for text in told.values() for each in re.findall(r"[^\W\d_]{15,}", text)}
+    assert [each for each in sorted(words) if not any(stem in each for stem in stems)] == []
+    assert [stem for stem in stems if not any(stem in text for text in told.values())] == []
