@@ -67,7 +67,7 @@ LABEL_SIZE = 11.0
 """Size of the font of all labels."""
 ROW = 1.55 * LABEL_SIZE
 """Distance of the lines of a legend."""
-LEAST_FIELD = 60.0
+LEAST_FIELD = 44.0
 """Height that the field of a chart has at least, however little room there is."""
 LEGEND_GAP = 12.0
 NARROW = 500.0

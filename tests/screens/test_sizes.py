@@ -39,8 +39,8 @@ RUNNING_OVER = """() => [...document.querySelectorAll("#tiles .tile, #camera-til
   .map((each) => `${each.innerText}: ${each.scrollWidth} > ${each.clientWidth}`)"""
 SMALL_LETTERS = """(least) => [...document.querySelectorAll("svg.sf-curve text, svg.chart text, svg.space text")]
   .filter((each) => each.checkVisibility())
-  .map((each) => [parseFloat(getComputedStyle(each).fontSize) * Math.hypot(each.getScreenCTM().a, each.getScreenCTM().b), each.textContent])
-  .filter(([height]) => height < least - 0.01)"""
+  .map((each) => ({ font: parseFloat(getComputedStyle(each).fontSize), to: each.getScreenCTM() }))
+  .filter(({ font, to }) => font * Math.hypot(to.a, to.b) < least - 0.01)"""
 """Texts of drawings below a height on the screen, which is that of the font by the scale of the drawing."""
 ALARM = {
     "check": "optics",
@@ -48,7 +48,7 @@ ALARM = {
     "action": "Fenster, Objektiv und Wand der genannten Kameras reinigen; die genannte Leuchte, dann Schärfe prüfen.",
     "priority": "medium",
     "state": "unacknowledged",
-    "findings": [{"code": "reported", "subjects": [f"c{n:02}"], "parameters": {"reported": "dim"}} for n in (3, 4, 5)],
+    "findings": [{"code": "reported", "subjects": ["c03"], "parameters": {"reported": "dim"}}] * 2,
     "raised_at": "2026-03-01T10:00:00.000Z",
     "occurrences": 2,
     "acknowledged_by": None,

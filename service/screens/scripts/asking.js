@@ -34,9 +34,9 @@ export function askWhenNew(ask) {
     await ask(state).then(() => (answered = text), reportFault);
     isAsking = false;
   }
-  see.again = () => {
+  see.again = async () => {
     answered = null;
-    return see(latest);
+    if (latest !== null) await see(latest);
   };
   return see;
 }

@@ -44,6 +44,9 @@ export function table(attributes, heads, rows, figures = []) {
   return html.table(attributes, html.thead(html.tr(heads.map(head))), html.tbody(body));
 }
 
+/** Return a place in which what is too wide scrolls, also by keys, so that the page never does. */
+export const wide = (name, ...children) => html.div({ class: "wide", tabindex: 0, role: "group", "aria-label": name }, children);
+
 /** Return the cell of a figure with its confidence interval, which stands out if it has changed. */
 export const figureCell = (text, interval, isChanged, ...more) =>
   html.td({ class: isChanged ? "number changed" : "number" }, text, interval && html.div({ class: "weak interval" }, interval), more);

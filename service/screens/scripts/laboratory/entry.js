@@ -1,7 +1,7 @@
 /** The entry of a sieving: a table as it is copied from a spreadsheet, read back beside the instrument before it is stored. */
 
 import { post } from "../api.js";
-import { html, show, table } from "../dom.js";
+import { html, show, table, wide } from "../dom.js";
 import { actionButton, field, makeForm } from "../forms.js";
 import { fileField } from "./files.js";
 import { number, quantity, said, sieve, word } from "../words.js";
@@ -69,7 +69,7 @@ function readBack({ understood_findings: understood, mass_g: mass, dry_mass_g: d
     html.p({ class: "understood" }, understood.map(said).join("; ")),
     mass !== null && html.p(word("laboratory.sum", { mass: quantity(mass, 1, "g") })),
     lost,
-    html.div({ class: "wide", tabindex: 0, role: "group", "aria-label": word("laboratory.reading") },
+    wide(word("laboratory.reading"),
       table({}, ["sieve", "retained", "passing", "instrument", "difference"].map((name) => word(`laboratory.${name}`)), rows, [0, 1, 2, 3, 4])),
   ];
 }

@@ -1,7 +1,7 @@
 /** Repeatability of a sample: s_r and r of each figure, from lots of the same stones or their sievings (ISO 5725-2). */
 
 import { get } from "../api.js";
-import { html, show, table } from "../dom.js";
+import { html, show, table, wide } from "../dom.js";
 import { makeForm } from "../forms.js";
 import { number, sieve, word } from "../words.js";
 import { csvLink } from "./files.js";
@@ -34,7 +34,7 @@ function tableOf({ runs, figures }) {
   const exact = names.map((name) => [name, ...COLUMNS.map((column) => figures[name][column])]);
   return [
     html.p(word("laboratory.runs", { n: runs.length, groups: new Set(runs.map(({ group }) => group)).size })),
-    html.div({ class: "wide", tabindex: 0, role: "group", "aria-label": word("laboratory.repeatability") }, table({}, heads, rows, [1, 2, 3, 4, 5, 6])),
+    wide(word("laboratory.repeatability"), table({}, heads, rows, [1, 2, 3, 4, 5, 6])),
     csvLink("laboratory.export", "repeatability.csv", [["figure", ...COLUMNS], ...exact]),
   ];
 }

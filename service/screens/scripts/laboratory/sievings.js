@@ -1,7 +1,7 @@
 /** The sievings of a lot: what was weighed, and those that count no more. */
 
 import { post } from "../api.js";
-import { html, table } from "../dom.js";
+import { html, table, wide } from "../dom.js";
 import { field, formDialog } from "../forms.js";
 import { number, quantity, sieve, time, word } from "../words.js";
 
@@ -18,7 +18,7 @@ export function sievingsTable(lot, sievings, onChange) {
     ],
   }));
   const heads = ["number", "entered", "said", "passing-of", "mass", "actions"].map((name) => word(`laboratory.${name}`));
-  return html.div({ class: "wide", tabindex: 0, role: "group", "aria-label": word("laboratory.sievings") }, table({}, heads, rows, [0, 4]));
+  return wide(word("laboratory.sievings"), table({}, heads, rows, [0, 4]));
 }
 
 function voidSieving(lot, sieving, onChange) {

@@ -1,7 +1,7 @@
 /** The correlation studies of a product: drafts with their error on held-out lots, accepted or withdrawn by hand. */
 
 import { post } from "../api.js";
-import { html, table } from "../dom.js";
+import { html, table, wide } from "../dom.js";
 import { actionButton, field, formDialog } from "../forms.js";
 import { number, said, time, word } from "../words.js";
 
@@ -14,7 +14,7 @@ export function studiesTable(path, studies, onChange) {
     actions(path, each, onChange),
   ]);
   const heads = ["number", "entered", "factor", "lots", "raw-rmse", "held-out-rmse", "state", "actions"].map((name) => word(`laboratory.${name}`));
-  return html.div({ class: "wide", tabindex: 0, role: "group", "aria-label": word("laboratory.studies") }, table({}, heads, rows, [0, 2, 3, 4, 5]));
+  return wide(word("laboratory.studies"), table({}, heads, rows, [0, 2, 3, 4, 5]));
 }
 
 function actions(path, { version, state, obstacle_findings: obstacles }, onChange) {

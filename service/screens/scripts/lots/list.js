@@ -1,7 +1,7 @@
 /** The list of lots: what each is, its verdict, its reports, and what can be done with it. */
 
 import { BASE, ROOT, post } from "../api.js";
-import { html, rowHead, setText, showNew, table } from "../dom.js";
+import { html, rowHead, setText, showNew, table, wide } from "../dom.js";
 import { field, formDialog, makeForm, openDialog } from "../forms.js";
 import { language, number, time, word } from "../words.js";
 
@@ -15,7 +15,7 @@ export function showLots(place, lots, onChange) {
 }
 
 const lotsTable = (lots, onChange) =>
-  html.div({ class: "wide", tabindex: 0, role: "group", "aria-label": word("lots.all") }, table({},
+  wide(word("lots.all"), table({},
     ["lot", "product", "opened", "closed", "stones", "verdict", "reports", "actions"].map((column) => word(`lots.${column}`)),
     lots.map((lot) => [
       rowHead(html.a({ href: `${ROOT}gallery?lot=${encodeURIComponent(lot.lot)}` }, lot.lot), said(lot)),

@@ -2,7 +2,7 @@
 
 import { get, post } from "../api.js";
 import { poll } from "../asking.js";
-import { html, show, showNew, table } from "../dom.js";
+import { html, show, showNew, table, wide } from "../dom.js";
 import { actionButton, choices, field, makeForm } from "../forms.js";
 import { number, time, word } from "../words.js";
 import { findings, residualBars, solutionFacts } from "./calibration_report.js";
@@ -136,7 +136,7 @@ export function mountCalibration(place) {
     wizard.showPast([active, items.map(({ id, state }) => [id, state])], () => [
       html.h2(word("setup.calibration-past")),
       html.p(word("setup.calibration-active", { id: active.id, at: time(active.at), by: active.by ?? "–" })),
-      table({}, columns("id", "begun", "by", "state", "detail"), items.map(row)),
+      wide(word("setup.calibration-past"), table({}, columns("id", "begun", "by", "state", "detail"), items.map(row))),
     ]);
   }
 }

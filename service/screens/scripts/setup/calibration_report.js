@@ -1,6 +1,6 @@
 /** What came of a calibration: its findings in words for the hands, its figures, the residuals before and after. */
 
-import { described, html, rowHead, table } from "../dom.js";
+import { described, html, rowHead, table, wide } from "../dom.js";
 import { number, quantity, word, wordOr } from "../words.js";
 import { finding } from "./wizard.js";
 
@@ -39,5 +39,5 @@ export function residualBars(before, after) {
     );
   const heads = [word("setup.camera"), ...series.map(([name]) => `${name}, px`)];
   const rows = names.map((name) => [rowHead(name), ...series.map(([, px], n) => cell(px[name], n))]);
-  return [html.h3(word("setup.residuals")), html.p({ class: "weak" }, word("setup.residuals-explained")), table({ class: "bars" }, heads, rows)];
+  return [html.h3(word("setup.residuals")), html.p({ class: "weak" }, word("setup.residuals-explained")), wide(word("setup.residuals"), table({ class: "bars" }, heads, rows))];
 }

@@ -2,7 +2,7 @@
 
 import { BASE, get, post, put } from "../api.js";
 import { poll } from "../asking.js";
-import { html, rowHead, setText, showNew, table } from "../dom.js";
+import { html, rowHead, setText, showNew, table, wide } from "../dom.js";
 import { actionButton, explained } from "../forms.js";
 import { number, word } from "../words.js";
 import { conclude, snippet } from "./conclusions.js";
@@ -211,7 +211,7 @@ function placeTable(rows) {
     found.map(({ serial }) => serial ?? "?").join(" + ") || "–",
     found.map(({ camera }) => (camera === place ? "✓" : camera)).join(" + ") || "–",
   ];
-  return table({ class: "places" }, columns("place", "serial", "configured-as"), rows.map(cells));
+  return wide(word("setup.wizard-places"), table({ class: "places" }, columns("place", "serial", "configured-as"), rows.map(cells)));
 }
 
 /** Return buttons that copy and download a text; the clipboard's own interface is missing on pages that come without TLS. */

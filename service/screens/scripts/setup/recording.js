@@ -2,7 +2,7 @@
 
 import { BASE, get, post, remove } from "../api.js";
 import { poll } from "../asking.js";
-import { html, showNew, table } from "../dom.js";
+import { html, showNew, table, wide } from "../dom.js";
 import { actionButton, askFirst, field, makeForm } from "../forms.js";
 import { number, span, time, word } from "../words.js";
 import { buttons, columns, hands, makeWizard, progress, seeingNote, verdict } from "./wizard.js";
@@ -95,7 +95,7 @@ export function mountRecording(place) {
       const actions = html.td({ class: "cell-buttons" }, state === "complete" && download(name), state !== "recording" && deletion(name));
       return [name, time(at), number(bundles), size(bytes), word(`setup.recording-state-${state}`), actions];
     });
-    return [html.h2(word("setup.recordings")), items.length === 0 ? html.p({ class: "weak" }, word("setup.recording-none")) : table({}, heads, rows.reverse())];
+    return [html.h2(word("setup.recordings")), items.length === 0 ? html.p({ class: "weak" }, word("setup.recording-none")) : wide(word("setup.recordings"), table({}, heads, rows.reverse()))];
   }
 
   /** Return a button that must be pressed twice: what it deletes is gone. */

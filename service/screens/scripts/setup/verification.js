@@ -2,7 +2,7 @@
 
 import { get, post } from "../api.js";
 import { poll } from "../asking.js";
-import { html, showNew, table } from "../dom.js";
+import { html, showNew, table, wide } from "../dom.js";
 import { actionButton, askFirst, field, makeForm } from "../forms.js";
 import { number, span, time, word } from "../words.js";
 import { controlChart, gauge } from "./charts.js";
@@ -114,7 +114,7 @@ function ballTable({ balls, diameter_mm: diameter }) {
   if (balls.length === 0) return html.p({ class: "weak" }, word("setup.no-drops"));
   const rows = balls.map(({ equivalent_diameter_mm: measured, vertical_minus_horizontal_mm: difference, detail }, n) =>
     [number(n + 1), number(measured, 3), number(measured && measured - diameter, 3), number(difference, 3), detail]);
-  return table({}, columns("ball-number", "ball-measured", "ball-error", "ball-difference", "ball-detail"), rows, [0, 1, 2, 3]);
+  return wide(word("setup.wizard-verification"), table({}, columns("ball-number", "ball-measured", "ball-error", "ball-difference", "ball-detail"), rows, [0, 1, 2, 3]));
 }
 
 function past(items, chart, limits) {
@@ -124,7 +124,7 @@ function past(items, chart, limits) {
     html.h2(word("setup.verification-chart", { diameter: number(chart.diameter_mm, 1) })),
     ...(chart.points.length === 0
       ? [html.p({ class: "weak" }, word("setup.verification-none"))]
-      : [controlChart(chart, limits.error_mm), html.p({ class: "weak" }, word("setup.chart-legend"))]),
-    items.length > 0 && table({}, columns("id", "ended", "by", "ball-diameter", "ball-error", "state"), rows, [3, 4]),
+      : [wide(word("setup.wizard-verification"), controlChart(chart, limits.error_mm)), html.p({ class: "weak" }, word("setup.chart-legend"))]),
+    items.length > 0 && wide(word("setup.wizard-verification"), table({}, columns("id", "ended", "by", "ball-diameter", "ball-error", "state"), rows, [3, 4])),
   ];
 }

@@ -2,7 +2,7 @@
 
 import { get, post, put, remove } from "../api.js";
 import { poll } from "../asking.js";
-import { html, show, showNew, table } from "../dom.js";
+import { html, show, showNew, table, wide } from "../dom.js";
 import { actionButton, askFirst, field, makeForm } from "../forms.js";
 import { number, time, word } from "../words.js";
 import { columns, verdict } from "./wizard.js";
@@ -62,7 +62,7 @@ export function mountWebhooks(place) {
   function endpoints(items) {
     const rows = items.map((each) => [each.name, each.url, each.events.join(", "), state(each), actions(each)]);
     const heads = columns("webhook", "webhook-url", "webhook-events", "state", "actions");
-    return [html.h2(word("setup.webhooks")), items.length === 0 ? html.p({ class: "weak" }, word("setup.webhook-none")) : table({}, heads, rows)];
+    return [html.h2(word("setup.webhooks")), items.length === 0 ? html.p({ class: "weak" }, word("setup.webhook-none")) : wide(word("setup.webhooks"), table({}, heads, rows))];
   }
 
   function actions({ name, after, is_of_configuration: isFixed, n_secrets: nSecrets }) {
