@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, time, timedelta
+from itertools import pairwise
 
 from pipeline.gradation.sieves import OF_THE_RIG, MeasuredRange
 from service.base.language import Language
@@ -64,17 +65,18 @@ def shift_at(now: datetime, starts: Sequence[str], ago: int = 0) -> Shift:
     start that the clock skips is an hour later by the clock, one that comes twice is the first; of two starts at one
     moment there is one.
     """
-    times = sorted({time.fromisoformat(start) for start in starts})
-    days = ago // len(times) + 3  # a day of a change may have a shift less
-    dates = (now.date() + timedelta(days=day) for day in range(-days, 3))
-    begins = sorted({_moment(datetime.combine(date, each)) for date in dates for each in times})
-    present = max(number for number, begin in enumerate(begins) if begin <= now)
-    return Shift(since=begins[present - ago], until=begins[present - ago + 1])
+    return shifts_before(now, starts, ago + 1)[-1]
 
 
 def shifts_before(now: datetime, starts: Sequence[str], n_shifts: int) -> list[Shift]:
     """Return the present shift and those before it, `n_shifts` in all, the newest first; `now` is a local time."""
-    return [shift_at(now, starts, ago) for ago in range(n_shifts)]
+    times = sorted({time.fromisoformat(start) for start in starts})
+    days = n_shifts // len(times) + 3  # a day of a change may have a shift less
+    dates = (now.date() + timedelta(days=day) for day in range(-days, 3))
+    begins = sorted({_moment(datetime.combine(date, each)) for date in dates for each in times})
+    present = max(number for number, begin in enumerate(begins) if begin <= now)
+    oldest = present + 1 - n_shifts
+    return [Shift(since=since, until=until) for since, until in pairwise(begins[oldest : present + 2])][::-1]
 
 
 def shift_named(name: str, now: datetime, starts: Sequence[str]) -> Shift | None:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from service.lots import shifts as shifts_of_the_clock
 from service.lots.shifts import LotsSettings, shift_at, shift_named, shifts_before
 
 STARTS = ("22:00", "06:00", "14:00")
@@ -41,6 +42,16 @@ def test_shifts_follow_one_another() -> None:
     assert shifts[0].since <= now < shifts[0].until
     whole_day = shift_at(now, ("06:00",))
     assert timedelta(hours=23) <= whole_day.until - whole_day.since <= timedelta(hours=25)
+
+
+def test_a_list_of_shifts_takes_each_moment_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    moments: list[datetime] = []
+    moment_of = shifts_of_the_clock._moment
+    monkeypatch.setattr(
+        shifts_of_the_clock, "_moment", lambda local: moments.append(local) or moment_of(local)
+    )
+    assert len(shifts_before(at("2026-03-02T07:00"), STARTS, 1000)) == 1000
+    assert len(moments) < 1050
 
 
 @pytest.fixture
