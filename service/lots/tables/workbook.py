@@ -17,14 +17,18 @@ from service.lots.laboratory import SievingError
 
 MAX_BYTES = 700_000
 """Of the file: in base64 it fits into the body of a request."""
-MAX_PART_BYTES = 20_000_000
-"""Of one part of it, unpacked."""
+MAX_UNPACKED_BYTES = 20_000_000
+"""Of all its parts that are read."""
+MAX_MARKS = 1_000_000
+"""Elements and attributes of these, by their characters; a cell has seven. Each takes some hundred bytes."""
 MAX_PARTS = 1000
 MAX_SHEETS = 20
 MAX_ROWS = 5000
 MAX_COLUMNS = 200
 MAX_CELL = 1000
 """Characters."""
+MAX_TABLE = 500_000
+"""Characters of a sheet; a table of sievings may have no more."""
 NAME = re.compile(r"([A-Z]{1,3})([0-9]{1,7})")
 RELATION = "{http://schemas.openxmlformats.org/officeDocument/2006/relationships}id"
 PERCENT_FORMATS = frozenset({9, 10})
@@ -64,28 +68,36 @@ def sheets_of(content: bytes) -> dict[str, str]:
         raise WorkbookError(f"workbook: is damaged: {err}") from err
 
 
-def _part(file: zipfile.ZipFile, name: str) -> ElementTree.Element:
-    """Return a part without namespaces; never more is unpacked than `MAX_PART_BYTES`."""
-    with file.open(name.lstrip("/")) as packed:
-        content = packed.read(MAX_PART_BYTES + 1)
-    if len(content) > MAX_PART_BYTES:
-        raise WorkbookError(
-            f"workbook: {name} is larger than {MAX_PART_BYTES / 1e6:g} MB: copy the table alone"
-        )
-    if b"<!DOCTYPE" in content or b"\0" in content:  # entities; another encoding could hide them
-        raise WorkbookError(f"workbook: {name} is not as spreadsheets write it")
-    root = ElementTree.fromstring(content)  # noqa: S314 - see above
-    for element in root.iter():
-        element.tag = element.tag.rpartition("}")[2]
-    return root
+class _Parts:
+    """The parts of a workbook; all of them together have no more than a spreadsheet of this size needs."""
+
+    def __init__(self, file: zipfile.ZipFile) -> None:
+        self._file = file
+        self._left_bytes, self._left_marks = MAX_UNPACKED_BYTES, MAX_MARKS
+        self.names = frozenset(file.namelist())
+
+    def read(self, name: str) -> ElementTree.Element:
+        """Return a part without namespaces; raise `WorkbookError` if it is too large or not as it should be."""
+        with self._file.open(name.lstrip("/")) as packed:
+            content = packed.read(self._left_bytes + 1)
+        self._left_bytes -= len(content)
+        self._left_marks -= content.count(b"<") + content.count(b"=")
+        if self._left_bytes < 0 or self._left_marks < 0:
+            raise WorkbookError(f"workbook: {name} is too large: copy the table alone")
+        if b"<!DOCTYPE" in content or b"\0" in content:  # entities; another encoding could hide them
+            raise WorkbookError(f"workbook: {name} is not as spreadsheets write it")
+        root = ElementTree.fromstring(content)  # noqa: S314 - see above
+        for element in root.iter():
+            element.tag = element.tag.rpartition("}")[2]
+        return root
 
 
 def _sheets(file: zipfile.ZipFile) -> Iterator[tuple[str, str]]:
-    book = _part(file, "xl/workbook.xml")
-    targets = {each.attrib["Id"]: each.attrib["Target"] for each in _part(file, "xl/_rels/workbook.xml.rels")}
-    names = set(file.namelist())
-    texts = _texts(_part(file, "xl/sharedStrings.xml")) if "xl/sharedStrings.xml" in names else []
-    formats = _formats(_part(file, "xl/styles.xml")) if "xl/styles.xml" in names else []
+    parts = _Parts(file)
+    book = parts.read("xl/workbook.xml")
+    targets = {each.attrib["Id"]: each.attrib["Target"] for each in parts.read("xl/_rels/workbook.xml.rels")}
+    texts = _texts(parts.read(name)) if (name := "xl/sharedStrings.xml") in parts.names else []
+    formats = _formats(parts.read(name)) if (name := "xl/styles.xml") in parts.names else []
     properties = book.find("workbookPr")
     is_1904 = properties is not None and properties.get("date1904") in ("1", "true")
     sheets = [each for each in book.iterfind("sheets/sheet") if each.get("state", "visible") == "visible"]
@@ -94,7 +106,7 @@ def _sheets(file: zipfile.ZipFile) -> Iterator[tuple[str, str]]:
     for sheet in sheets:
         target = targets[sheet.attrib[RELATION]]
         path = target if target.startswith("/") else f"xl/{target}"
-        rows = _rows(_part(file, path), texts, formats, EPOCH_1904 if is_1904 else EPOCH)
+        rows = _rows(parts.read(path), texts, formats, EPOCH_1904 if is_1904 else EPOCH)
         if rows:
             yield sheet.attrib["name"], "\n".join("\t".join(row) for row in rows) + "\n"
 
@@ -102,7 +114,7 @@ def _sheets(file: zipfile.ZipFile) -> Iterator[tuple[str, str]]:
 def _texts(part: ElementTree.Element) -> list[str]:
     """Return the shared texts, formatted ones joined; phonetic hints are no text."""
     return [
-        "".join(run.text or "" for run in (*item.iterfind("t"), *item.iterfind("r/t")))
+        _in_line("".join(run.text or "" for run in (*item.iterfind("t"), *item.iterfind("r/t"))))
         for item in part.iterfind("si")
     ]
 
@@ -127,6 +139,7 @@ def _rows(
 ) -> list[list[str]]:
     """Return the cells of a sheet by line, with empty lines where it has some between others."""
     rows: dict[int, dict[int, str]] = {}
+    n_characters = 0
     for cell in part.iterfind("sheetData/row/c"):
         place = NAME.fullmatch(cell.attrib["r"])
         if place is None:
@@ -138,6 +151,11 @@ def _rows(
         if row > MAX_ROWS or column > MAX_COLUMNS:
             raise WorkbookError(
                 f"workbook: {place[0]}: beyond {MAX_ROWS} lines or {MAX_COLUMNS} columns: copy the table alone"
+            )
+        n_characters += len(text)
+        if n_characters > MAX_TABLE:
+            raise WorkbookError(
+                f"workbook: {place[0]}: more than {MAX_TABLE} characters: copy the table alone"
             )
         rows.setdefault(row, {})[column] = text
     return [
@@ -161,13 +179,18 @@ def _text(cell: Any, texts: Sequence[str], formats: Sequence[str], epoch: dateti
     elif value is None or kind == "e":
         return ""
     elif kind == "s":
-        found = texts[int(value)]
+        return texts[int(value)]
     elif kind in ("str", "b", "d"):
         found = value
     else:
         style = int(cell.get("s", "0"))
         found = _number(float(value), formats[style] if style < len(formats) else "", epoch)
-    return " ".join(found.split())[:MAX_CELL]
+    return _in_line(found)
+
+
+def _in_line(text: str) -> str:
+    """Return the text of a cell in one line, as far as it is kept."""
+    return " ".join(text.split())[:MAX_CELL]
 
 
 def _number(value: float, kind: str, epoch: datetime) -> str:

@@ -14,7 +14,15 @@ from hypothesis import strategies as st
 
 from service.lots.laboratory import SievingError
 from service.lots.tables.sievings import read_table
-from service.lots.tables.workbook import MAX_BYTES, MAX_PART_BYTES, MAX_ROWS, WorkbookError, sheets_of
+from service.lots.tables.workbook import (
+    MAX_BYTES,
+    MAX_CELL,
+    MAX_MARKS,
+    MAX_ROWS,
+    MAX_UNPACKED_BYTES,
+    WorkbookError,
+    sheets_of,
+)
 
 
 def workbook(**sheets: list[list[Any]]) -> bytes:
@@ -96,7 +104,11 @@ def test_what_is_no_workbook_or_hostile_is_refused() -> None:
         (good[: len(good) // 2], "unpacked"),
         (b"PK" + bytes(MAX_BYTES), "larger"),
         (packed({"a.txt": b"x"}), "damaged"),
-        (changed(good, sheet, b" " * (MAX_PART_BYTES + 1)), "larger"),  # a bomb of 20 kB
+        (changed(good, sheet, b" " * MAX_UNPACKED_BYTES), "too large"),  # a bomb of 20 kB
+        (
+            changed(good, sheet, b"<c/>" * (MAX_MARKS + 1)),
+            "too large",
+        ),  # each element takes more than its text
         (changed(good, sheet, entity), "not as spreadsheets"),
         (changed(good, sheet, entity.decode().encode("utf-16")), "not as spreadsheets"),
         (changed(good, sheet, far), "lines"),
@@ -107,6 +119,21 @@ def test_what_is_no_workbook_or_hostile_is_refused() -> None:
     ):
         with pytest.raises(WorkbookError, match=why):
             sheets_of(wrong)
+
+
+def test_a_text_that_many_cells_share_is_no_bomb() -> None:
+    texts = b"<sst><si><t>" + b"x " * 10**6 + b"</t></si></sst>"
+    book = changed(workbook(Sheet=[["text"]]), "xl/sharedStrings.xml", texts)
+
+    def with_cells(n_cells: int) -> bytes:
+        cells = b"".join(b'<c r="A%d" t="s"><v>0</v></c>' % (row + 1) for row in range(n_cells))
+        sheet = b"<worksheet><sheetData><row>" + cells + b"</row></sheetData></worksheet>"
+        return changed(book, "xl/worksheets/sheet1.xml", sheet)
+
+    (table,) = sheets_of(with_cells(100)).values()
+    assert len(table) == 100 * (MAX_CELL + 1)
+    with pytest.raises(WorkbookError, match="more than 500000 characters"):
+        sheets_of(with_cells(600))
 
 
 @given(st.binary(max_size=300), st.integers(0, 3000))
