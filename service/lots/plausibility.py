@@ -13,11 +13,9 @@ from service.lots.evaluation import passing_of
 from service.lots.laboratory import Sieving, SievingError, valid_sievings
 from service.lots.lots import find_lot
 from service.lots.stones import stones_of_lot
-from service.lots.tables.history import RefusedRow, read_history
+from service.lots.tables.history import MOST_TABLES, RefusedRow, read_history
 from service.lots.tables.sievings import read_tables
 
-MOST_TABLES = 200
-"""Lots in one table: each one's curve is computed before anything is stored."""
 LEAST_STONES = 50
 """Measured stones from which on the instrument's curve can contradict a sieving."""
 MOST_POINTS = 15.0
@@ -133,8 +131,6 @@ def part_of_history(
     stored already. Raises `SievingError` as `read_history` does.
     """
     rows = read_history(table)
-    if len(rows) > MOST_TABLES:
-        raise SievingError(f"table: has {len(rows)} sievings, more than {MOST_TABLES}: send it in parts")
     found: list[tuple[Sieving, SievingReading]] = []
     refused = []
     known: dict[str, list[Sieving]] = {}

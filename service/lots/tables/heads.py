@@ -12,6 +12,7 @@ from typing import NamedTuple
 from service.base.messages import Code, CodedText, message
 from service.lots.laboratory import SievingError
 
+MOST_LINES = 10_000
 MOST_COLUMNS = 20
 NUMBER = re.compile(r"([0-9.,'’\s]*+)([^0-9.,'’\s][^0-9]*+)?")
 SEPARATOR = re.compile(r"sep=([;,\t])")
@@ -94,9 +95,11 @@ class TableLine(NamedTuple):
 
 
 def lines_of(text: str) -> list[TableLine]:
-    """Return the lines that have cells; raise `SievingError` if commas part them into more or fewer than the first."""
+    """Return the lines that have cells; raise `SievingError` for too many, or if commas part one otherwise."""
     lines = unicodedata.normalize("NFKC", text.removeprefix("\ufeff")).splitlines()
     named = SEPARATOR.fullmatch(lines[0].lower()) if lines else None
+    if len(lines) > MOST_LINES:
+        raise SievingError(f"table: more than {MOST_LINES} lines: send it in parts")
     mark = (
         named[1]
         if named

@@ -1,7 +1,7 @@
 """Tables of many sievings, months of them: each lot is read by itself, or refused by itself with the reason."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from dataclasses import replace
 from datetime import datetime
 
@@ -10,6 +10,8 @@ from service.lots.laboratory import SievingError
 from service.lots.tables.heads import TableLine, lines_of
 from service.lots.tables.sievings import ReadTable, read_table
 
+MOST_TABLES = 200
+"""Sievings in one table: each one is read by itself, and its lot's curve computed, before anything is stored."""
 LOT = re.compile(r"lot|los|charge|batch", re.IGNORECASE)
 SAID = {
     "sieved_on": re.compile(r"date|datum|sieved on|gesiebt am", re.IGNORECASE),
@@ -51,7 +53,7 @@ def read_history(text: str) -> list[ReadTable | RefusedRow]:
     Raises
     ------
     SievingError
-        The head does not say what the columns are.
+        The head does not say what the columns are, or there are more than `MOST_TABLES` sievings.
     """
     lines = lines_of(text)
     if not lines:
@@ -66,9 +68,10 @@ def read_history(text: str) -> list[ReadTable | RefusedRow]:
     rest = [i for i in range(len(head.cells)) if i not in (*lots, *said.values()) and head.cells[i]]
     sieves = {i: found for i in rest if (found := SIEVE.fullmatch(head.cells[i]))}
     if not sieves:
-        return [
-            _taken(group, lots[0], said, _long(head, group, rest)) for group in _by_lot(below, lots[0], said)
-        ]
+        groups = _by_lot(below, lots[0], said)
+        _require_few(groups)
+        return [_taken(group, lots[0], said, _long(head, group, rest)) for group in groups]
+    _require_few(below)
     pans = {i: found for i in rest if i not in sieves and (found := PAN.fullmatch(head.cells[i]))}
     for i in rest:
         if i not in sieves and i not in pans:
@@ -84,6 +87,12 @@ def read_history(text: str) -> list[ReadTable | RefusedRow]:
     columns = {i: found["size"] for i, found in sieves.items()} | dict.fromkeys(pans, "pan")
     start = f"Sieve {units.pop()}\t{kinds.pop()}"
     return [_taken([line], lots[0], said, _wide(start, line, columns)) for line in below]
+
+
+def _require_few(sievings: Sized) -> None:
+    """Raise `SievingError` for too many, before the first is read."""
+    if len(sievings) > MOST_TABLES:
+        raise SievingError(f"table: has {len(sievings)} sievings, more than {MOST_TABLES}: send it in parts")
 
 
 def _by_lot(lines: Sequence[TableLine], lot: int, said: Mapping[str, int]) -> list[list[TableLine]]:
