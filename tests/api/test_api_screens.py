@@ -104,10 +104,15 @@ async def test_an_address_that_is_not_there_is_a_page_for_people_and_a_problem_f
     page = await client.get(HOST + "/nowhere", headers=browsers)
     assert page.status_code == 404 and page.headers["Content-Type"] == "text/html; charset=utf-8"
     assert page.headers["Content-Security-Policy"] == POLICY and 'data-word="missing.title"' in page.text
-    for address, headers in (("/nowhere", {}), ("/api/v1/nowhere", browsers), ("/api/v1/lots/L9", browsers)):
+    for address, headers in (
+        ("/nowhere", {}),
+        ("/api/v1/nowhere", browsers),
+        ("/api/v1/lots/L9", browsers),
+        ("/" * 30_000, browsers),  # the way up from there would be in each link of the page
+    ):
         problem = await client.get(HOST + address, headers=headers)
         assert problem.status_code == 404
-        assert problem.headers["Content-Type"] == "application/problem+json", address
+        assert problem.headers["Content-Type"] == "application/problem+json", address[:40]
 
 
 async def test_pages_have_the_names_of_plant_and_instrument_in_title_and_head(
@@ -115,6 +120,8 @@ async def test_pages_have_the_names_of_plant_and_instrument_in_title_and_head(
 ) -> None:
     plain = await client.get(HOST)
     assert "<title>stonefall</title>" in plain.text and ">stonefall</a>" in plain.text
+    control.plant = PlantSettings(plant="@up@")
+    assert "<title>@up@ – stonefall</title>" in (await client.get(HOST)).text
     control.plant = PlantSettings(plant="Nord <1>", line="Linie 2", instrument_serial="SF-7")
     named = await client.get(HOST, headers={"If-None-Match": plain.headers["ETag"]})
     assert "<title>Nord &lt;1&gt;, Linie 2, SF-7 – stonefall</title>" in named.text

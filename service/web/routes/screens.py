@@ -57,6 +57,8 @@ PAGES = {
 """All pages by address; the header links those that are a section, in this order."""
 MISSING = Page("missing")
 """The page of an address that there is none at."""
+MOST_FOLDERS = 8
+"""Depth of an address that is told so by a page, which names the way up in each of its links."""
 SITE, UP = "@site@", "@up@"
 """Stand in a page where the name of plant and instrument comes, and the way up to the first page."""
 ROOT = "/screens"
@@ -156,8 +158,8 @@ def _read(folder: Path) -> Iterator[tuple[str, bytes]]:
 
 @lru_cache(maxsize=64)
 def _page_of(name: str, site: str, depth: int) -> File:
-    html = installed_screens().pages[name].replace(SITE, escape(f"{site} – " if site else ""))
-    html = html.replace(UP, "../" * depth or "./")
+    html = installed_screens().pages[name].replace(UP, "../" * depth or "./")
+    html = html.replace(SITE, escape(f"{site} – " if site else ""))
     return File.of(html.encode(), MEDIA_TYPES[".html"])
 
 
@@ -171,10 +173,12 @@ async def page(request: Request, context: Context, compressed: TakesGzip) -> Res
 
 
 def missing_page(request: Request) -> Response | None:
-    """Return the page that says that there is none at this address; None for who wants no page, and within REST."""
-    if request.scope["path"].startswith(BASE) or "text/html" not in request.headers.get("accept", ""):
+    """Return the page of an address that there is none at; None for who wants no page, within REST, and deep down."""
+    path = request.scope["path"]
+    depth = path.count("/") - 1
+    wants_page = "text/html" in request.headers.get("accept", "")
+    if path.startswith(BASE) or depth > MOST_FOLDERS or not wants_page:
         return None
-    depth = request.scope["path"].count("/") - 1
     found = _page_of(MISSING.name, request.app.state.context.site(), depth)
     headers = {"Cache-Control": "no-store", "Content-Security-Policy": POLICY, **HEADERS}
     return Response(found.content, 404, media_type=found.media_type, headers=headers)
