@@ -325,6 +325,7 @@ class LotChoice(BaseModel):
     customer: Given = Field(default=None, description="Only lots of this customer")
     search: Given = Field(
         default=None,
+        pattern=r"^[^\n]*$",
         description="Only lots with this in their id, product, `external_id`, `order` or `customer`; a to z and A"
         " to Z are alike",
     )

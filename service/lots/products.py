@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, field, fields
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 from typing_extensions import TypeAliasType
 
 from drivers.files.times import utc_now
@@ -28,7 +28,16 @@ Percent = Annotated[float, Field(ge=0, le=100)]
 PercentRange = tuple[Percent, Percent]
 """Least and greatest percent, both allowed."""
 MAX_QUANTILES = 20
-QuantilePercent = Annotated[float, Field(gt=0, lt=100)]
+QuantilePercent = Annotated[float, Field(gt=0, lt=100, strict=True)]
+
+
+def _each_once(percents: tuple[float, ...]) -> tuple[float, ...]:
+    """Return percents as they are; raise `ValueError` if one is there twice."""
+    if len(set(percents)) < len(percents):
+        raise ValueError("a percent is there twice")
+    return percents
+
+
 Quantiles = TypeAliasType(
     "Quantiles",
     Annotated[
@@ -36,8 +45,9 @@ Quantiles = TypeAliasType(
         Field(
             min_length=1,
             max_length=MAX_QUANTILES,
-            description="Percent of the mass that is smaller, of each size D_p",
+            description="Percent of the mass that is smaller, of each size D_p; each once",
         ),
+        AfterValidator(_each_once),
     ],
 )
 Typical = tuple[Percent, Percent]

@@ -65,6 +65,8 @@ def yardstick_of(definition: ProductDefinition | None, request: Request) -> Yard
 def percents_in(text: str) -> tuple[float, ...]:
     """Return the percents that a list like `5,16,84,95` names, rising; raise `UnknownYardstickError` for others."""
     try:
+        if not text.isascii() or "_" in text:  # which Python takes for digits and between them
+            raise ValueError
         percents = {float(each) for each in text.split(",")}
     except ValueError:
         percents = {nan}

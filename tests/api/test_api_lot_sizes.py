@@ -43,7 +43,8 @@ async def test_any_sizes_can_be_asked_for(client: httpx.AsyncClient, lot: str) -
 
 
 @pytest.mark.parametrize(
-    "text", ["", "0", "100", "-5", "50;60", "nan", "inf", "1,,2", ",".join(map(str, range(1, 22)))]
+    "text",
+    ["", "0", "100", "-5", "50;60", "nan", "inf", "1,,2", "٥٠", "1_0", ",".join(map(str, range(1, 22)))],
 )
 async def test_no_sizes_for_what_is_no_percent(client: httpx.AsyncClient, lot: str, text: str) -> None:
     answer = await client.get(f"/lots/{lot}/gradation", params={"quantiles": text})
@@ -61,7 +62,7 @@ async def test_a_product_has_sizes_of_its_own(client: httpx.AsyncClient, lot: st
     compared = (await client.get("/comparisons/lots?a=L2&b=L1")).json()
     names = [each["figure"] for each in compared["figures"]]
     assert [name for name in names if name.startswith("d")] == ["d16_mm", "d50_mm", "d84_mm"]
-    for wrong in ([0], [100], [], [50] * 21):
+    for wrong in ([0], [100], [], [50] * 21, [50, 50], [True], ["50"]):
         answer = await client.put("/products/basalt-8-16", json={**PRODUCT, "quantiles": wrong})
         assert_problem(answer, 422, "invalid-request")
 

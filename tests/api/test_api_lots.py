@@ -222,6 +222,7 @@ async def test_a_lot_is_found_by_the_numbers_of_the_plant(client: httpx.AsyncCli
     ):
         found = (await client.get("/lots", params={"search": part})).json()["items"]
         assert [each["lot"] for each in found] == fitting, part
+    assert_problem(await client.get("/lots?search=%0A"), 422, "invalid-request")  # parts what is searched
     refused = await opened(client, lot="4500012345/10")
     assert_problem(refused, 422, "invalid-request")
     assert "external_id" in refused.json()["detail"]
