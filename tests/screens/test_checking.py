@@ -45,8 +45,24 @@ def test_a_report_is_genuine_until_a_byte_is_changed(
         expect(page.locator("#found")).to_contain_text(said)
         expect(page.locator("#found dd")).to_have_count(5 if name == "issued" else 0)
         screenshot(page, f"verify-{name}")
+        if name == "issued":
+            expect(page.locator("#found")).to_contain_text(re.compile(r"20\d\d"))
     key = replay.get("/instrument/key")["fingerprint"]
     expect(page.locator("#key")).to_have_text(re.compile(key))
+
+
+def test_a_genuine_report_says_that_there_is_a_newer_one(
+    watched: Watched, replay: DaemonProcess, issued: bytes, tmp_path: Path
+) -> None:
+    replay.post("/lots/L1/assign", {"since": "2000-01-01T00:00:00Z", "until": "2100-01-01T00:00:00Z"})
+    newest = replay.get("/lots/L1")["revision"]
+    assert newest > 1
+    (file := tmp_path / "issued.pdf").write_bytes(issued)
+    page = watched.page
+    page.goto(origin_of(replay.url("")) + "/verify")
+    page.get_by_label("PDF file").set_input_files(file)
+    page.get_by_role("button", name="Check", exact=True).click()
+    expect(page.locator("#found")).to_contain_text(f"a newer report: revision {newest}")
 
 
 def test_the_page_is_for_everybody(watched: Watched, replay: DaemonProcess) -> None:

@@ -40,7 +40,7 @@ class SignedFile:
         BeforeValidator(_of_the_alphabet),
         Field(min_length=1, max_length=MAX_REPORT_BYTES, repr=False),
     ]
-    """All bytes of the file, in base64."""
+    """All bytes of the file, in base64; with a body of 1 MB (`[api] max_body_bytes`) up to 740 kB."""
 
 
 @router.get("/instrument/key", response_model=KeyDocument)

@@ -86,6 +86,9 @@ export function time(rfc3339) {
   return at.toLocaleString(locale(), { ...(!isToday && { day: "numeric", month: "short" }), hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
 }
 
+/** Return a moment with its date and year. */
+export const moment = (rfc3339) => new Date(rfc3339).toLocaleString(locale(), { dateStyle: "medium", timeStyle: "short" });
+
 /** Return a span of time in its greatest fitting unit, such as `3 min`. */
 export function span(seconds) {
   const [unit, size] = [["day", 86_400], ["hour", 3600], ["minute", 60], ["second", 1]].find(([, size]) => seconds >= 2 * size) ?? ["second", 1];
