@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
 from typing import Literal
+from urllib.parse import urlencode
 
 import pytest
 from playwright.sync_api import Browser, expect
@@ -70,6 +71,20 @@ def test_a_key_becomes_a_session_and_the_page_comes_to_life(
     assert page.evaluate("document.cookie") == ""  # no script sees the session
     page.get_by_role("button", name="Sign out").click()
     expect(page.locator(".banner.sign-in")).to_be_visible()
+
+
+def test_a_sign_in_leads_to_no_other_host(watched: Watched, locked: tuple[DaemonProcess, str]) -> None:
+    daemon, token = locked
+    watched.is_expected = re.compile("status of 40[14]")  # there is no such page
+    page = watched.page
+    expect.set_options(timeout=PATIENCE_MS)
+    for address in ("/.//elsewhere.example/", "//elsewhere.example/", "javascript:alert(1)"):
+        page.context.clear_cookies()
+        page.goto(f"{origin_of(daemon.url(''))}/sign-in?{urlencode({'next': address})}")
+        page.get_by_label("Token").fill(token)
+        page.get_by_role("button", name="Sign in").click()
+        page.wait_for_url(lambda url: "/sign-in" not in url)
+        assert origin_of(page.url) == origin_of(daemon.url(""))
 
 
 @pytest.mark.parametrize(

@@ -53,8 +53,8 @@ async function pair() {
   });
 }
 
-/** Return the page to go on to: one of this host alone, whatever the address says. */
+/** Return the page to go on to: one of this host alone, whatever the address says; whole, as a path may begin with two slashes. */
 function nextAddress() {
   const next = new URL(new URLSearchParams(location.search).get("next") ?? ROOT, location.origin);
-  return next.origin === location.origin ? next.pathname + next.search + next.hash : ROOT;
+  return next.origin === location.origin ? next.href : ROOT;
 }
