@@ -18,7 +18,7 @@ from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.influences import Influences, share_influences, size_influences
 from pipeline.gradation.repeatability import Repeatability, repeatability
 from pipeline.gradation.sieves import MeasuredRange
-from service.base.errors import ProblemError, ProblemKind
+from service.base.errors import InvalidRequestError, ProblemError, ProblemKind
 from service.base.schema import served
 from service.base.status import Report
 from service.lots.evaluation import figures_of
@@ -230,7 +230,8 @@ def sample_study(
 ) -> SampleStudy | None:
     """Compare the closed lots of a sample, all by the product of the newest, or the sievings of them; None if none is.
 
-    Raises `RunsTooFewError` if no two runs were made under equal conditions, and as `yardstick_of` does.
+    Raises `InvalidRequestError` if some of the named lots are not closed, `RunsTooFewError` if no two runs were made
+    under equal conditions, and as `yardstick_of` does.
     """
     if chosen.sample_id is not None:
         lots = lots_of_sample(connection, chosen.sample_id)
@@ -240,6 +241,9 @@ def sample_study(
     records = [each for each in lots if each.state is LotState.CLOSED]
     if not records:
         return None
+    closed = {each.lot for each in records}
+    if missing := [name for name in dict.fromkeys(chosen.lots) if name not in closed]:
+        raise InvalidRequestError(f"lot: not closed, void or not there: {', '.join(missing)}")
     newest = records[-1]
     product = find_product(connection, newest.product, newest.product_version)
     if chosen.of is RunsOf.LABORATORY:

@@ -102,4 +102,7 @@ async def test_repeated_sievings_of_chosen_lots_tell_the_laboratory_s_repeatabil
     assert_problem(await client.get(f"{query}&lot=L1&lot=L1&sample_id=S"), 422, "invalid-request")
     assert_problem(await client.get("/repeatability"), 422, "invalid-request")
     assert_problem(await client.get(f"{query}&lot=L8&lot=L9"), 404, "unknown-sample")
+    partly = await client.get(f"{query}&lot=L1&lot=L9&lot=L2")
+    assert_problem(partly, 422, "invalid-request")
+    assert partly.json()["detail"].endswith(": L9"), "nobody takes the others for the whole"
     assert_problem(await client.get(f"{query}&lot=L2&lot=L2"), 409, "too-few-runs")
