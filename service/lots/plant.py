@@ -104,15 +104,19 @@ def logo_of(path: Path) -> str:
         typst.compile(b"#image(bytes(sys.inputs.logo))", sys_inputs={"logo": logo}, ignore_system_fonts=True)
     except OSError as err:
         raise ValueError(f"{path}: {err.strerror or 'is a damaged picture'}") from err
-    except (ValueError, SyntaxError, RuntimeError, Image.DecompressionBombError) as err:
-        raise ValueError(f"{path}: is no PNG or SVG of at most {MAX_LOGO_PX // 10**6} megapixels") from err
+    except Image.DecompressionBombError as err:
+        raise ValueError(f"{path}: has more than {MAX_LOGO_PX // 10**6} megapixels") from err
+    except UnicodeDecodeError as err:
+        raise ValueError(f"{path}: is no PNG, and no SVG in UTF-8") from err
+    except (ValueError, SyntaxError, RuntimeError) as err:
+        raise ValueError(f"{path}: is no PNG or SVG that can be drawn") from err
     return logo
 
 
 def _of_png(content: bytes) -> str:
     with Image.open(BytesIO(content), formats=("PNG",)) as image:
         if image.width * image.height > MAX_LOGO_PX:
-            raise ValueError("too many pixels")
+            raise Image.DecompressionBombError
         sound = BytesIO()  # typst refuses some that Pillow reads
         image.save(sound, "PNG")
         encoded = b64encode(sound.getvalue()).decode()
