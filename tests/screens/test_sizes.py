@@ -15,7 +15,13 @@ PATIENCE_MS = 60_000
 LEAST_LETTER_PX = 11
 MOST_HEADER_PX = 64
 VIEWPORTS = {"phone": PHONE, "tablet": SIZES["tablet"], "wall": SIZES["wall"]}
-LIMITS = {"density_kg_m3": 2850, "lower_mm": 8, "upper_mm": 16, "specification": "GC85-20"}
+LIMITS = {
+    "title": "8/16 basalt",
+    "density_kg_m3": 2850,
+    "lower_mm": 8,
+    "upper_mm": 16,
+    "specification": "GC85-20",
+}
 PAGES = {
     "/": "#trend svg",
     "/gallery?lot=L-0": "#distribution svg",
@@ -82,7 +88,7 @@ def show(page: Page, plant: DaemonProcess, path: str, language: str = "de") -> N
 def test_a_page_fits_and_its_drawings_can_be_read(
     browser: Browser, plant: DaemonProcess, path: str, size: str
 ) -> None:
-    with watched_page(browser, viewport=VIEWPORTS[size]) as watched:
+    with watched_page(browser, viewport=VIEWPORTS[size], reduced_motion="reduce") as watched:
         page = watched.page
         show(page, plant, path)
         until(page, f"() => ({SMALL_LETTERS})({LEAST_LETTER_PX}).length === 0")
