@@ -11,10 +11,10 @@ from service.lots.trends.control_documents import ControlPoint, FigureControl
 from service.reports.drawing import (
     LABEL_SIZE,
     Anchor,
+    Canvas,
     ChartField,
     Drawing,
     Entry,
-    Look,
     Point,
     Shape,
     Sign,
@@ -36,7 +36,7 @@ TITLES = {"d50_mm": "trend.d50", "flakiness_percent": "trend.flakiness", "shape_
 
 
 def stored_control_svg(
-    connection: sqlite3.Connection, product: str, figure: str, measured: MeasuredRange, look: Look
+    connection: sqlite3.Connection, product: str, figure: str, measured: MeasuredRange, look: Canvas
 ) -> str | None:
     """Return the drawing of one figure of a product, None if the product is not known or has no such figure."""
     found = product_control(connection, product, measured, SHOWN)
@@ -44,7 +44,7 @@ def stored_control_svg(
     return next((control_svg(each, product, look) for each in charts if each.figure == figure), None)
 
 
-def control_svg(chart: FigureControl, product: str, look: Look) -> str:
+def control_svg(chart: FigureControl, product: str, look: Canvas) -> str:
     """Return the drawing of a control chart."""
     say = words(look.language)
     points = chart.points

@@ -12,9 +12,9 @@ from service.lots.figures import CurveStep
 from service.reports.drawing import (
     LABEL_SIZE,
     Anchor,
+    Canvas,
     ChartField,
     Drawing,
-    Look,
     Point,
     Shape,
     Sign,
@@ -32,7 +32,7 @@ from service.reports.words import Words, words
 FIELD = ChartField(top=14.0, bottom=314.0, beneath=88.0, legend_drop=5.2 * LABEL_SIZE)
 MARGIN = 1.12
 """The axis ends beyond the first and the last sieve by this factor."""
-LOOK = Look()
+LOOK = Canvas()
 HATCH_DISTANCE = 7.0
 MARKER_RADIUS = 4.5
 
@@ -48,7 +48,7 @@ class Beside:
 
 def curve_svg(
     steps: Sequence[CurveStep],
-    look: Look = LOOK,
+    look: Canvas = LOOK,
     *,
     laboratory: Mapping[float, float] | None = None,
     beside: Beside | None = None,
@@ -62,7 +62,7 @@ def gradation_curve(
     say: Words,
     laboratory: Mapping[float, float] | None = None,
     beside: Beside | None = None,
-    look: Look = LOOK,
+    look: Canvas = LOOK,
 ) -> Drawing:
     """Return the curve; `laboratory` is the passing by sieve of a second one, percent, `beside` one of other stones."""
     shown = shown_steps(steps)

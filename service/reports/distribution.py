@@ -9,9 +9,9 @@ from service.lots.stones import Choice
 from service.reports.drawing import (
     LABEL_SIZE,
     Anchor,
+    Canvas,
     ChartField,
     Drawing,
-    Look,
     Shape,
     Style,
     box,
@@ -31,7 +31,7 @@ GAP = 0.06
 
 
 def stored_distribution_svg(
-    connection: sqlite3.Connection, lot: str, choice: Choice, measure: ShapeMeasure, look: Look
+    connection: sqlite3.Connection, lot: str, choice: Choice, measure: ShapeMeasure, look: Canvas
 ) -> str | None:
     """Return the drawing of a measure over a lot, or over a choice of its stones; None if there is no such lot."""
     found = lot_distributions(connection, lot, choice)
@@ -40,7 +40,7 @@ def stored_distribution_svg(
     return distribution_svg(next(each for each in found.items if each.measure == measure), look)
 
 
-def distribution_svg(distribution: Distribution, look: Look) -> str:
+def distribution_svg(distribution: Distribution, look: Canvas) -> str:
     """Return the drawing of a distribution as SVG."""
     say = words(look.language)
     field = FIELD.fitted(look)

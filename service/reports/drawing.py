@@ -155,7 +155,7 @@ def _points(points: Iterable[Point]) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class Canvas:
     """How a drawing is asked for: its language, and its room, in which a letter is `LABEL_SIZE` high."""
 
     language: Language = Language.ENGLISH
@@ -187,7 +187,7 @@ class ChartField:
         """Height of the drawing."""
         return self.bottom + self.beneath
 
-    def fitted(self, look: Look, entries: Sequence[Entry] = ()) -> "ChartField":
+    def fitted(self, look: Canvas, entries: Sequence[Entry] = ()) -> "ChartField":
         """Return the field that fits the room of a look, above a legend with these entries."""
         wide = replace(self, right=look.width - 14.0)
         _, y = wide._placed(entries)[-1] if entries else (0.0, self.bottom)

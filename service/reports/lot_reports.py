@@ -20,7 +20,7 @@ from service.lots.yardsticks import Request
 from service.particles.renditions import NotKeptError, stone_png
 from service.reports.csv_file import render_csv
 from service.reports.curve import Beside, curve_svg
-from service.reports.drawing import Look
+from service.reports.drawing import Canvas
 from service.reports.printed import render_html, render_pdf
 from service.reports.report import EndedVerification, GalleryReason, GalleryStone, ReportData, ReportFormat
 from service.reports.words import words
@@ -72,7 +72,7 @@ class CurveRequest:
     """How a curve is to be drawn, and what beside it."""
 
     figures: Request
-    look: Look
+    look: Canvas
     beside_lot: str | None = None
     beside_algorithm_version: str | None = None
 

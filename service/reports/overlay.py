@@ -8,7 +8,7 @@ from service.lots.figures import CurveStep
 from service.lots.overlay import OverlaidStep, Overlay, Reference, ReferenceKind, overlay
 from service.lots.yardsticks import Request
 from service.reports.curve import FIELD, Axes, grid, shown_steps
-from service.reports.drawing import Drawing, Entry, Look, Point, Shape, Style, area, box, line, svg
+from service.reports.drawing import Canvas, Drawing, Entry, Point, Shape, Style, area, box, line, svg
 from service.reports.words import Words, words
 
 COLOURS = ("#1c7fd6", "#d9480f", "#7048e8", "#b08900", "#0c8599", "#d6336c")
@@ -20,14 +20,14 @@ def stored_overlay_svg(
     names: Sequence[str],
     kind: ReferenceKind | None,
     request: Request,
-    look: Look,
+    look: Canvas,
 ) -> str | None:
     """Return the drawing of the curves of lots; None if one of them does not exist."""
     found = overlay(connection, names, kind, request)
     return None if found is None else overlay_svg(found, look)
 
 
-def overlay_svg(found: Overlay, look: Look) -> str:
+def overlay_svg(found: Overlay, look: Canvas) -> str:
     """Return the drawing of an overlay as SVG."""
     say = words(look.language)
     shown = shown_steps(

@@ -19,10 +19,10 @@ from service.lots.yardsticks import Request, yardstick_of
 from service.reports.drawing import (
     LABEL_SIZE,
     Anchor,
+    Canvas,
     ChartField,
     Drawing,
     Entry,
-    Look,
     Point,
     Shape,
     Style,
@@ -91,7 +91,7 @@ Values = Sequence[tuple[datetime, Estimate]]
 def trend_svg(
     trend: Trend,
     figure: TrendFigure,
-    look: Look,
+    look: Canvas,
     zone: tzinfo | None = None,
     product: ProductTrend = NO_PRODUCT,
 ) -> str:
@@ -126,7 +126,7 @@ def stored_trend_svg(
     hours: float,
     measured: MeasuredRange,
     figure: TrendFigure,
-    look: Look,
+    look: Canvas,
     product: str | None = None,
 ) -> str:
     """Return the drawing of one figure over the last hours, made on a connection to the store.

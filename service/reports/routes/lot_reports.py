@@ -15,7 +15,7 @@ from service.lots.routes.lot_figures import Choosing, Figuring, Measuring, Minut
 from service.lots.routes.lots import LotName
 from service.lots.yardsticks import Request
 from service.reports.distribution import stored_distribution_svg
-from service.reports.drawing import DRAWING_WIDTH, Look
+from service.reports.drawing import DRAWING_WIDTH, Canvas
 from service.reports.lot_reports import (
     CurveRequest,
     ReportRequest,
@@ -55,12 +55,12 @@ def look_of(
         int | None,
         Query(ge=120, le=1600, description="Height of the drawing; as much as it takes when absent"),
     ] = None,
-) -> Look:
-    """Return how a drawing is asked for."""
-    return Look(language, width_px, height_px)
+) -> Canvas:
+    """Return the language of a drawing and its room."""
+    return Canvas(language, width_px, height_px)
 
 
-Looking = Annotated[Look, Depends(look_of)]
+Looking = Annotated[Canvas, Depends(look_of)]
 
 
 @router.get("/lots/{lot}/report", response_class=Response, responses={**REPORTS, **problem_responses(406)})

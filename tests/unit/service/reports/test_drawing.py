@@ -11,7 +11,7 @@ from service.base.language import Language
 from service.lots.trends.control import LotLimits
 from service.lots.trends.trend import Trend, TrendBucket
 from service.reports.curve import curve_svg
-from service.reports.drawing import DRAWING_WIDTH, LABEL_SIZE, Look, label_width
+from service.reports.drawing import DRAWING_WIDTH, LABEL_SIZE, Canvas, label_width
 from service.reports.trend import ProductTrend, TrendFigure, trend_svg
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -19,11 +19,11 @@ WIDTHS = st.integers(300, 2400)
 HEIGHTS = st.integers(300, 1600)
 
 
-def curve_in(look: Look) -> ElementTree.Element:
+def curve_in(look: Canvas) -> ElementTree.Element:
     return ElementTree.fromstring(curve_svg(curve(), look, laboratory={4.0: 3.0, 8.0: 12.0}))  # noqa: S314 - ours
 
 
-def trend_in(look: Look) -> ElementTree.Element:
+def trend_in(look: Canvas) -> ElementTree.Element:
     figure = Estimate(state=State.MEASURED, value=14.0, low=13.0, high=15.0)
     times = [f"2026-03-01T{hour:02}:00:00.000Z" for hour in (10, 11)]
     bucket = TrendBucket(
@@ -42,7 +42,7 @@ def trend_in(look: Look) -> ElementTree.Element:
     return ElementTree.fromstring(trend_svg(trend, TrendFigure.D50, look, product=product))  # noqa: S314 - ours
 
 
-def assert_within(root: ElementTree.Element, look: Look) -> None:
+def assert_within(root: ElementTree.Element, look: Canvas) -> None:
     width, height = float(root.attrib["width"]), float(root.attrib["height"])
     assert width == look.width and (look.height is None or height == look.height)
     for text in root.iter(f"{SVG}text"):
@@ -59,17 +59,17 @@ def assert_within(root: ElementTree.Element, look: Look) -> None:
 def test_all_letters_of_a_drawing_are_within_its_room(
     width: int, height: int | None, language: Language
 ) -> None:
-    look = Look(language, width, height)
+    look = Canvas(language, width, height)
     assert_within(curve_in(look), look)
     assert_within(trend_in(look), look)
 
 
 def test_a_drawing_that_has_too_little_height_is_higher_rather_than_without_a_field() -> None:
-    assert float(curve_in(Look(height=120)).attrib["height"]) > 120
+    assert float(curve_in(Canvas(height=120)).attrib["height"]) > 120
 
 
 def test_a_narrow_drawing_has_fewer_labels_on_its_axes_and_more_lines_in_its_legend() -> None:
-    wide, narrow = curve_in(Look()), curve_in(Look(width=300))
+    wide, narrow = curve_in(Canvas()), curve_in(Canvas(width=300))
     assert float(wide.attrib["width"]) == DRAWING_WIDTH
     assert len({each.attrib["y"] for each in narrow.iter(f"{SVG}text")}) > len(
         {each.attrib["y"] for each in wide.iter(f"{SVG}text")}

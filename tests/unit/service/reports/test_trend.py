@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 from pipeline.gradation.estimates import NOT_MEASURED, Estimate, State
 from service.lots.trends.control import LotLimits
 from service.lots.trends.trend import Trend, TrendBucket
-from service.reports.drawing import Look
+from service.reports.drawing import Canvas
 from service.reports.trend import NO_PRODUCT, ProductTrend, TrendFigure, trend_svg
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -34,7 +34,7 @@ def drawn(
     trend = Trend(
         since=buckets[0].since, until=buckets[-1].until, bucket_s=60, buckets=buckets, diary=[], lots=[]
     )
-    return ElementTree.fromstring(trend_svg(trend, figure, Look(), product=product))  # noqa: S314 - ours
+    return ElementTree.fromstring(trend_svg(trend, figure, Canvas(), product=product))  # noqa: S314 - ours
 
 
 def n_of(root: ElementTree.Element, style: str) -> list[int]:
