@@ -39,7 +39,7 @@ LIMITS = {
 OWN_TEXTS = """() => {
   const texts = document.createTreeWalker(document.querySelector("main"), NodeFilter.SHOW_TEXT);
   const own = [];
-  while (texts.nextNode()) if (!texts.currentNode.parentElement.closest("[lang=en]")) own.push(texts.currentNode.data);
+  while (texts.nextNode()) if (!texts.currentNode.parentElement.closest("[lang=en], style")) own.push(texts.currentNode.data);
   return own;
 }"""
 """All texts of a page, but those of others, which are marked as English."""
