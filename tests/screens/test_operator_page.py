@@ -39,7 +39,8 @@ LIMITS = {
 OWN_TEXTS = """() => {
   const texts = document.createTreeWalker(document.querySelector("main"), NodeFilter.SHOW_TEXT);
   const own = [];
-  while (texts.nextNode()) if (!texts.currentNode.parentElement.closest("[lang=en], style")) own.push(texts.currentNode.data);
+  const isOwn = ({ parentElement }) => !parentElement.closest("[lang=en], style");
+  while (texts.nextNode()) if (isOwn(texts.currentNode)) own.push(texts.currentNode.data);
   return own;
 }"""
 """All texts of a page, but those of others, which are marked as English."""
@@ -266,7 +267,7 @@ def test_everything_is_reached_by_keyboard(operator: Watched) -> None:
     expect(page.locator('.alarm[data-check="optics"] button')).not_to_have_count(0)
     wanted = page.evaluate(
         "[...document.querySelectorAll('button, a')].filter((each) => each.checkVisibility())"
-        ".map((each) => each.innerText.trim())"
+        ".map((each) => (each.getAttribute('aria-label') ?? each.innerText).trim())"
     )
     reached = reachable_by_tab(page)
     values = re.compile(r"\n.*|\s*(Light|Dust|Focus|Lost|Temp).*", re.DOTALL)  # they change meanwhile

@@ -1,5 +1,6 @@
 """Each page on a wall, a tablet and a phone: nothing runs over, drawings can be read, and alarms are seen at once."""
 
+import re
 from itertools import product
 from typing import Any
 
@@ -67,7 +68,7 @@ def plant(replay: DaemonProcess) -> DaemonProcess:
     """A daemon with two closed lots, and one that is open."""
     replay.put("/products/basalt", LIMITS)
     for number in range(3):
-        replay.post("/lots", {"lot": f"L-{number}", "product": "basalt"})
+        assert replay.post("/lots", {"lot": f"L-{number}", "product": "basalt"})["lot"] == f"L-{number}"
         replay.wait_for(f"/lots/L-{number}/gradation", lambda lot: lot["measured"] > 4)
         if number < 2:
             replay.post(f"/lots/L-{number}/close?wait_s=20", {})
@@ -90,6 +91,9 @@ def test_a_page_fits_and_its_drawings_can_be_read(
 ) -> None:
     with watched_page(browser, viewport=VIEWPORTS[size], reduced_motion="reduce") as watched:
         page = watched.page
+        watched.is_expected = re.compile(
+            "GPU stall due to ReadPixels"
+        )  # of the screenshot, by a driver in software
         show(page, plant, path)
         until(page, f"() => ({SMALL_LETTERS})({LEAST_LETTER_PX}).length === 0")
         screenshot(page, f"sizes-{path.strip('/').partition('?')[0].replace('/', '-')}-{size}")

@@ -106,11 +106,9 @@ def until(page: Page, condition: str, argument: Any = None, patience_s: float = 
 
 def first_paint_ms(page: Page) -> float:
     """Return when the first content was painted, since the address was asked for."""
-    return float(
-        page.evaluate(
-            "performance.getEntriesByType('paint').find(({name}) => name === 'first-contentful-paint').startTime"
-        )
-    )
+    entry = "performance.getEntriesByType('paint').find(({name}) => name === 'first-contentful-paint')"
+    page.wait_for_function(entry)
+    return float(page.evaluate(f"{entry}.startTime"))
 
 
 def violations(page: Page) -> list[str]:

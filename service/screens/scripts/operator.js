@@ -1,5 +1,6 @@
 /** The operator's page: one stream of the rig's state, and what each part of the page makes of it. */
 
+import { byId } from "./dom.js";
 import { holdPaint, showBanner, showOrigin, startPage } from "./header.js";
 import { follow } from "./live.js";
 import { showAlarms } from "./operator/alarms.js";
@@ -19,6 +20,7 @@ mountTrends();
 holdPaint(new Promise((shown) => follow({
   onOverview(overview) {
     PARTS.forEach((show) => show(overview));
+    byId("main").dataset.known = "";
     shown();
   },
   onSilence(since) {
