@@ -242,7 +242,7 @@ def test_it_is_accessible_at_every_size(
         page = watched.page
         page.goto(f"{origin_of(replay.url(''))}/?language={language}")
         expect(page.locator("#camera-tiles li")).to_have_count(16)
-        expect(page.locator("#curve-drawing svg")).to_have_count(1)
+        expect(page.locator("#curve-drawing svg")).to_have_count(1, timeout=PATIENCE_MS)
         expect(page.locator("#newest li")).to_have_count(12)
         assert page.evaluate("document.documentElement.lang") == language
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "it scrolls sideways"
