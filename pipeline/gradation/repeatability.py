@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from pipeline.schema import SCHEMA
 
@@ -64,7 +64,7 @@ def repeatability(groups: Sequence[Sequence[float]]) -> Repeatability:
         between_sd = sqrt(max((of_means - within) / typical_number, 0.0))
     repeatability_sd = sqrt(within)
     freedom = n_runs - n_groups
-    low, high = (repeatability_sd * sqrt(freedom / chi2.ppf(share, freedom)) for share in (0.975, 0.025))
+    low, high = (repeatability_sd * sqrt(freedom / chdtri(freedom, above)) for above in (0.025, 0.975))
     reproducibility_sd = None if between_sd is None else sqrt(between_sd**2 + within)
     return Repeatability(
         mean=mean,
