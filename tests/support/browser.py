@@ -107,12 +107,13 @@ def until(page: Page, condition: str, argument: Any = None, patience_s: float = 
 def first_paint_ms(page: Page) -> float:
     """Return when the first content was painted, since the address was asked for."""
     entry = "performance.getEntriesByType('paint').find(({name}) => name === 'first-contentful-paint')"
-    page.wait_for_function(entry)
+    until(page, f"() => {entry} !== undefined")
     return float(page.evaluate(f"{entry}.startTime"))
 
 
 def violations(page: Page) -> list[str]:
-    """Return what axe-core has against the page as it is now."""
+    """Return what axe-core has against the page as it is painted."""
+    page.locator("body").wait_for()  # visible
     if not AXE.exists():
         pytest.skip(f"axe-core is not there: deploy/packages puts it into {AXE.parent.name}, with npm")
     page.evaluate(AXE.read_text(encoding="utf-8"))  # not as a script of the page: its policy allows none
