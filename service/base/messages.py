@@ -148,7 +148,7 @@ class CodedFinding:
     code: Code
     """What is said, one word"""
     subjects: tuple[str, ...] = ()
-    """What it is about, from the whole to the part: a check, cameras, a lot, an endpoint"""
+    """Names of what is concerned, from the whole to the part: a check, cameras, a lot, an endpoint"""
     parameters: Mapping[str, Value]
     """Figures, whose names end with the unit, ids, and texts that others have made"""
 

@@ -152,9 +152,9 @@ def send(message: EmailMessage, settings: MailSettings) -> list[str]:
     Raises `OSError`, which that of SMTP and TLS is, or `ValueError` for a file, if no recipient gets it.
     """
     port = settings.port or PORTS[settings.tls]
-    make = smtplib.SMTP
+    make: Callable[..., smtplib.SMTP] = smtplib.SMTP
     if settings.tls is MailTls.TLS:
-        make = partial(smtplib.SMTP_SSL, context=settings.context())  # type: ignore[assignment]  # a kind of it
+        make = partial(smtplib.SMTP_SSL, context=settings.context())
     with make(settings.host, port, timeout=settings.timeout_s) as server:
         if settings.tls is MailTls.STARTTLS:
             server.starttls(context=settings.context())

@@ -152,7 +152,7 @@ class ShiftSheet(ShiftDocument):
     lost: int
     """Stones whose views were never looked at."""
     void: int
-    """Of all these, stones of lots that are void: they are in no product, and in no mass."""
+    """Stones of lots that are void, among all these: they are in no product, and in no mass."""
     products: list[ShiftProduct]
     """By product, and what fell in no lot; empty where nothing fell."""
     lots: list[ShiftLot]

@@ -64,7 +64,7 @@ class AccessKey:
     revoked_at: GivenTime | None = None
     revoked_by: str | None = None
     is_display: bool = False
-    """Of a wall screen, which only reads and stays signed in until the key is revoked."""
+    """True for the key of a wall screen: it only reads, and stays signed in until it is revoked."""
 
     def refusal(self, now: str) -> str | None:
         """Return the reason why the key is not accepted at a time, None if it is."""

@@ -49,7 +49,7 @@ class StoreTrouble:
 
     @property
     def said(self) -> CodedText:
-        """What it is, with the remedy."""
+        """The trouble in words, with its remedy."""
         return message(Code(f"store_{self.cause}"), reported=self.detail)
 
 

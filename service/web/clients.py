@@ -57,7 +57,7 @@ class Client:
     address: str
     """Network address that it asks from"""
     user_agent: str
-    """What it says of itself; empty if nothing"""
+    """The name that the client gives itself; empty without one"""
 
 
 class Keyless:

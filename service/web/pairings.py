@@ -17,7 +17,7 @@ from service.web.problems import Problem
 MOST_OPEN = 16
 """Screens that wait at a time; six digits have a million values."""
 MOST_OF_ADDRESS = 4
-"""Of one address; a further one takes the place of its oldest."""
+"""Screens of one address that may wait; a further one takes the place of its oldest."""
 POLL_S = 3
 
 

@@ -32,7 +32,7 @@ AHEAD_S = 300
 RENEWED_S = 60
 """Least time between two renewals that are written."""
 LASTING_S = 400 * 24 * 3600
-"""That of a wall screen ends when it was not renewed for so long: browsers keep no cookie longer."""
+"""Time after which a wall screen's session ends unless renewed: browsers keep no cookie longer."""
 MAX_SESSIONS = 10_000
 """Beyond, those that were begun first end, of wall screens last."""
 NAME, NAME_OVER_TLS = "stonefall-session", "__Host-stonefall-session"

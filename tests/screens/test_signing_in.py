@@ -20,7 +20,7 @@ from service.web.settings import Scope
 REFUSED = re.compile("status of 401")
 PATIENCE_MS = 300_000
 LEAST_CONTRAST = 4.5
-"""Of text of usual size (WCAG 2.2, 1.4.3)."""
+"""Least contrast of text of usual size (WCAG 2.2, 1.4.3)."""
 PHONE = {"width": 390, "height": 844}
 CONTRASTS = """
 (() => {

@@ -112,7 +112,7 @@ def first_paint_ms(page: Page) -> float:
 
 
 def violations(page: Page) -> list[str]:
-    """Return what axe-core has against the page as it is painted."""
+    """Return the violations that axe-core finds in the page as it is painted."""
     page.locator("body").wait_for()  # visible
     if not AXE.exists():
         pytest.skip(f"axe-core is not there: deploy/packages puts it into {AXE.parent.name}, with npm")

@@ -16,9 +16,9 @@ from xml.etree import ElementTree
 from service.lots.laboratory import SievingError
 
 MAX_BYTES = 700_000
-"""Of the file: in base64 it fits into the body of a request."""
+"""Size of a file at most: in base64 it fits into the body of a request."""
 MAX_UNPACKED_BYTES = 20_000_000
-"""Of all its parts that are read."""
+"""Size of all parts that are read, unpacked, at most."""
 MAX_MARKS = 1_000_000
 """Elements and attributes of these, by their characters; a cell has seven. Each takes some hundred bytes."""
 MAX_PARTS = 1000
