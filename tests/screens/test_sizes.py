@@ -9,6 +9,7 @@ from playwright.sync_api import Browser, Page, expect
 from support.browser import SIZES, origin_of, screenshot, until, violations, watched_page
 from support.daemon_process import DaemonProcess
 from support.extents import first_quick
+from support.lots import PRODUCT
 
 from screens.test_lots_page import PHONE
 
@@ -16,13 +17,6 @@ PATIENCE_MS = 60_000
 LEAST_LETTER_PX = 11
 MOST_HEADER_PX = 64
 VIEWPORTS = {"phone": PHONE, "tablet": SIZES["tablet"], "wall": SIZES["wall"]}
-LIMITS = {
-    "title": "8/16 basalt",
-    "density_kg_m3": 2850,
-    "lower_mm": 8,
-    "upper_mm": 16,
-    "specification": "GC85-20",
-}
 PAGES = {
     "/": "#trend svg",
     "/gallery?lot=L-0": "#distribution svg",
@@ -66,7 +60,7 @@ ALARM = {
 @pytest.fixture(scope="module")
 def plant(replay: DaemonProcess) -> DaemonProcess:
     """A daemon with two closed lots, and one that is open."""
-    replay.put("/products/basalt", LIMITS)
+    replay.put("/products/basalt", PRODUCT)
     for number in range(3):
         assert replay.post("/lots", {"lot": f"L-{number}", "product": "basalt"})["lot"] == f"L-{number}"
         replay.wait_for(f"/lots/L-{number}/gradation", lambda lot: lot["measured"] > 4)
