@@ -127,7 +127,9 @@ def test_a_wall_screen_is_paired_by_its_code_and_only_reads_until_its_key_is_rev
     wall = watched.page
     wall.goto(f"{home}/lots")
     wall.locator(".banner.sign-in").get_by_role("link", name="Pair this screen").click()
-    shown = wall.get_by_label("Code of this screen").inner_text()
+    code = wall.get_by_label("Code of this screen")
+    expect(code).to_be_visible()  # its text is empty until the page is painted
+    shown = code.inner_text()
     with watched_page(browser, extra_http_headers={"Authorization": f"Bearer {boss}"}) as other:
         tablet = other.page
         tablet.goto(f"{home}/setup#screens")
