@@ -22,18 +22,20 @@ export function holdPaint(promise) {
 
 /** Put words on the page and what one can choose into its head; every page begins with it. */
 export async function startPage() {
-  await loadWords().catch((error) => {
+  const worded = loadWords(), overview = get("/overview"); // beside the words
+  overview.catch(() => {}); // it may fail before the words are there
+  window.addEventListener("sign-in-needed", () => worded.then(() => isSignIn() || showBanner("sign-in", word("header.sign-in-needed"), signInLink(), pairLink())));
+  await worded.catch((error) => {
     paint();
     throw error;
   });
   setTimeout(paint, MOST_HELD_MS);
   show(byId("tools"), html.span({ id: "who" }), languageButton(), themeButton(), document.fullscreenEnabled && fullScreenButton());
   mountMenu();
-  window.addEventListener("sign-in-needed", () => isSignIn() || showBanner("sign-in", word("header.sign-in-needed"), signInLink(), pairLink()));
   holdPaint(new Promise((known) => poll(byId("who"), RENEW_S, () => showWho().finally(known)))); // asking renews the session
   window.addEventListener("beforeprint", notePrint);
   notePrint();
-  holdPaint(get("/overview").then(showOrigin)); // a page that follows the rig calls it again
+  holdPaint(overview.then(showOrigin)); // a page that follows the rig calls it again
 }
 
 /** Open and close what a narrow page has room for in a menu only. */
