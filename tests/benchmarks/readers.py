@@ -9,7 +9,7 @@ client that opens a lot, assigns all stones of before to it, closes it and has i
 others and has the first reported again. As `browsers` five tabs of Chromium show the operator's page beside 200 long
 polls; first paint and the newest stones with their picture are among the answers. As `rude` 20 clients read the stream
 of results, 50 ask for a big page and do not read it, and one sends bodies of 100 MB. They run on this machine, with the
-lowest priority, because a plant's clients are other machines. The store holds `--before` stones before, and all the
+lowest priority (the browser's session too), because a plant's clients are other machines. The store holds `--before` stones before, and all the
 time one client asks for the gradation of a lot of them, twice a second.
 Times are from the exposure to the durable result. Exits with 1 if a stone is lost, or if the 99th percentile beside a
 crowd is more than 1.5 times that of the calm phase before; beside `browsers` also if that of the gradation is.
