@@ -1,4 +1,4 @@
-"""The errors that drivers raise.
+"""The errors that drivers raise, and the faults that devices tell of.
 
 ::
 
@@ -11,6 +11,7 @@
 
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 
 class LossCause(StrEnum):
@@ -29,6 +30,102 @@ class LossCause(StrEnum):
     PROCESS_ENDED = "process_ended"
     """The process that the cameras' library runs in has died, and with it the control of all cameras."""
     OTHER = "other"
+
+
+class DeviceFault(StrEnum):
+    """Kinds of faults by which a text of a driver is worded in other languages; `words` are the English ones.
+
+    `reported` is a text of foreign origin, such as the operating system's; figures have their unit in the name.
+    """
+
+    words: str
+
+    def __new__(cls, code: str, words: str) -> "DeviceFault":
+        """Return the member of a code."""
+        made = str.__new__(cls, code)
+        made._value_, made.words = code, words
+        return made
+
+    BEAM_CLOSED = (
+        "beam_closed",
+        "the beam has been closed for {closed_s:.0f} s: remove what blocks it, clean and align sensor and light",
+    )
+    GATE_LINES_LATE = (
+        "gate_lines_late",
+        "{lines} lines within the last minute came up to {late_ms:.0f} ms late ({since_start} since the start): look"
+        " at the load of this machine, and at the latency of the serial converter",
+    )
+    GATE_RESTARTED = (
+        "gate_restarted",
+        "was restarted within the last minute, and counts anew: stones that it had not announced may be unknown: "
+        "check its power supply",
+    )
+    GATE_PORT_MISSING = (
+        "gate_port_missing",
+        "there is no such port: plug the gate in, and name it as under /dev/serial/by-id/",
+    )
+    GATE_PORT_DENIED = (
+        "gate_port_denied",
+        "permission denied: the service's user must be in the group dialout",
+    )
+    GATE_PORT_TAKEN = "gate_port_taken", "is in use by another program"
+    GATE_PORT_UNUSABLE = "gate_port_unusable", "cannot be opened: {reported}"
+    GATE_NO_MODEM_LINES = "gate_no_modem_lines", "has no modem lines"
+    GATE_GPIO_UNUSABLE = (
+        "gate_gpio_unusable",
+        "cannot be opened: {reported}; the chip must exist, the line be free, and the service's user in the group "
+        "dialout",
+    )
+    GATE_GPIOD_MISSING = "gate_gpiod_missing", "the Python package gpiod (2.x) is missing: install it"
+    GATE_UNIDENTIFIED = (
+        "gate_unidentified",
+        "sends no identity and status within {waited_s:g} s, but {damaged} damaged lines: check port, baud rate and "
+        "firmware",
+    )
+    GATE_MUTE = (
+        "gate_mute",
+        "has sent nothing for {silent_s:g} s: check its cable and its power supply",
+    )
+    GATE_GONE = "gate_gone", "is gone: {reported}"
+    DEVICE_DISCONNECTED = "device_disconnected", "disconnected"
+    RECEIVE_BUFFER_SMALL = (
+        "receive_buffer_small",
+        "the kernel granted {granted_bytes} of {wanted_bytes} bytes to receive into: "
+        "sysctl -w net.core.rmem_max={wanted_bytes}",
+    )
+    LINK_SLOW = (
+        "link_slow",
+        "its link runs at {link_mbit_s} Mbit/s: check the cable and the port of the switch",
+    )
+    CLOCK_WITHOUT_MASTER = (
+        "clock_without_master",
+        "its clock follows no PTP master (status {status}): is one running?",
+    )
+
+
+class Told(str):
+    """A text of a driver in English, with the fault that it tells of and the parameters of its words."""
+
+    fault: DeviceFault
+    parameters: dict[str, str | int | float]
+
+    def __new__(cls, text: str, fault: DeviceFault, parameters: dict[str, str | int | float]) -> "Told":
+        """Return the text of a fault; see `told`."""
+        made = super().__new__(cls, text)
+        made.fault, made.parameters = fault, parameters
+        return made
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Told, (str(self), self.fault, self.parameters)
+
+    def after(self, beginning: str) -> "Told":
+        """Return the same fault with a text that begins otherwise."""
+        return Told(f"{beginning}{self}", self.fault, self.parameters)
+
+
+def told(fault: DeviceFault, **parameters: str | int | float) -> Told:
+    """Return a fault in its English words; raise `KeyError` if they need a parameter that is missing."""
+    return Told(fault.words.format(**parameters), fault, parameters)
 
 
 class DriverError(Exception):
@@ -55,6 +152,11 @@ class DeviceError(DriverError):
         self.device = device
         self.problem = problem
         self.cause = cause
+
+    @property
+    def told(self) -> str:
+        """The whole text, which keeps the fault of the problem."""
+        return self.problem.after(f"{self.device}: ") if isinstance(self.problem, Told) else str(self)
 
     def __str__(self) -> str:
         return f"{self.device}: {self.problem}"

@@ -20,7 +20,7 @@ from drivers.cameras.genicam import GigeCameraSettings, all_features
 from drivers.cameras.lamp import Lamp, give_strobe_back, strobe_off
 from drivers.cameras.stream_filter import max_packet_number, stream_program
 from drivers.cameras.stream_socket import prepare_socket
-from drivers.errors import CameraUnavailableError, LossCause
+from drivers.errors import CameraUnavailableError, DeviceFault, LossCause, Told, told
 from drivers.interfaces import CameraVitals, EventSink
 from pipeline.frames import CameraId
 
@@ -66,7 +66,7 @@ class AravisCamera:
         self._polled: dict[str, str] = {}
         self._lamp: Lamp | None = None  # while a person is shown the camera
         self._receive_buffer_bytes = 0
-        self._warnings: tuple[str, ...] = ()
+        self._warnings: tuple[Told, ...] = ()
         self._is_acquiring = False
 
     @property
@@ -273,17 +273,18 @@ class AravisCamera:
             control_lost=self._control_lost,
         )
 
-    def _opening_warnings(self) -> Iterator[str]:
+    def _opening_warnings(self) -> Iterator[Told]:
         """Yield each thing that works but needs attention, with the remedy."""
         wanted = self._settings.receive_buffer_bytes
         if self._receive_buffer_bytes < wanted:
-            yield (
-                f"the kernel granted {self._receive_buffer_bytes} of {wanted} bytes to receive into: "
-                f"sysctl -w net.core.rmem_max={wanted}"
+            yield told(
+                DeviceFault.RECEIVE_BUFFER_SMALL,
+                granted_bytes=self._receive_buffer_bytes,
+                wanted_bytes=wanted,
             )
         with suppress(CameraUnavailableError):  # cameras from before GigE Vision 1.1 do not say
             if 0 < (mbit_s := self._register(_LINK_SPEED)) < FULL_LINK_MBIT_S:
-                yield f"its link runs at {mbit_s} Mbit/s: check the cable and the port of the switch"
+                yield told(DeviceFault.LINK_SLOW, link_mbit_s=mbit_s)
 
     # --- watching ---
 
@@ -310,7 +311,7 @@ class AravisCamera:
         if polled.get("PtpEnable"):
             ptp_offset_ns = polled.get("PtpOffsetFromMaster")
             if (status := polled.get("PtpStatus", "Slave")) != "Slave":
-                warnings.append(f"its clock follows no PTP master (status {status}): is one running?")
+                warnings.append(told(DeviceFault.CLOCK_WITHOUT_MASTER, status=str(status)))
         return CameraVitals(
             serial=device.serial,
             model=device.model,

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from drivers.errors import CameraUnavailableError
+from drivers.errors import CameraUnavailableError, DeviceFault, told
 from drivers.faulty.faults import Dice, FaultPlan
 from drivers.interfaces import Camera, CameraLost, CameraVitals, DeviceEvent, EventSink
 from pipeline.frames import CameraId, Frame, Image
@@ -37,12 +37,12 @@ class FaultyCamera:
 
     def examine(self) -> CameraVitals:
         if self._is_lost:
-            raise CameraUnavailableError(self.id, "disconnected")
+            raise CameraUnavailableError(self.id, told(DeviceFault.DEVICE_DISCONNECTED))
         return self._camera.examine()
 
     def light(self, *, is_on: bool) -> None:
         if self._is_lost:
-            raise CameraUnavailableError(self.id, "disconnected")
+            raise CameraUnavailableError(self.id, told(DeviceFault.DEVICE_DISCONNECTED))
         self._camera.light(is_on=is_on)
 
     def disarm(self) -> None:
@@ -68,7 +68,11 @@ class FaultyCamera:
         if disconnected:
             self._is_lost = True
             return self._sink.deliver(
-                CameraLost(camera=self.id, received_ns=event.received_ns, reason="disconnected")
+                CameraLost(
+                    camera=self.id,
+                    received_ns=event.received_ns,
+                    reason=told(DeviceFault.DEVICE_DISCONNECTED),
+                )
             )
         frame = self._with_wrong_image(event, swapped=swapped, frozen=frozen)
         if lost:

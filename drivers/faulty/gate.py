@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+from drivers.errors import DeviceFault, told
 from drivers.faulty.faults import Dice, FaultPlan
 from drivers.gates.wrapped import WrappedGate
 from drivers.interfaces import DeviceEvent, EventSink, GateLost, LightGate, TriggersIgnored
@@ -44,7 +45,9 @@ class FaultyGate(WrappedGate):
         )
         if disconnected and not self._is_lost:
             self._is_lost = True
-            sink.deliver(GateLost(received_ns=event.received_ns, reason="disconnected"))
+            sink.deliver(
+                GateLost(received_ns=event.received_ns, reason=told(DeviceFault.DEVICE_DISCONNECTED))
+            )
         if lost or self._is_lost:
             self._on_swallowed()
             return True

@@ -4,6 +4,7 @@ import logging
 from collections import deque
 from dataclasses import astuple, dataclass, replace
 
+from drivers.errors import DeviceFault, Told, told
 from drivers.gates.edge_counter import CountedStep, EdgeCounter
 from drivers.gates.edge_filter import Began, Bounced, EdgeFilter, Ended, Pulse
 from drivers.gates.gate_clock import GateClock
@@ -94,21 +95,21 @@ class GateListener:
         """Return for how long the beam has been closed, in s, by the gate's statuses."""
         return 0.0 if self._blocked_since_ns is None else (now_ns - self._blocked_since_ns) / 1e9
 
-    def troubles(self, now_ns: int) -> list[str]:
+    def troubles(self, now_ns: int) -> list[Told]:
         """Return the problems of the last minute, each with the remedy."""
         found = []
         late_ns = [late_ns for at_ns, late_ns in self._late_lines if now_ns - at_ns < RECENT_NS]
         if late_ns:
             found.append(
-                f"{len(late_ns)} lines within the last minute came up to {max(late_ns) / 1e6:.0f} ms late"
-                f" ({self._counters.late} since the start): look at the load of this machine, and at the latency of"
-                " the serial converter"
+                told(
+                    DeviceFault.GATE_LINES_LATE,
+                    lines=len(late_ns),
+                    late_ms=max(late_ns) / 1e6,
+                    since_start=self._counters.late,
+                )
             )
         if self._restarted_ns is not None and now_ns - self._restarted_ns < RECENT_NS:
-            found.append(
-                "was restarted within the last minute, and counts anew: stones that it had not announced may be"
-                " unknown: check its power supply"
-            )
+            found.append(told(DeviceFault.GATE_RESTARTED))
         return found
 
     def hear(self, data: bytes, read_ns: int) -> list[DeviceEvent]:

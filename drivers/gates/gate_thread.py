@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from drivers.errors import GateUnavailableError
+from drivers.errors import DeviceFault, GateUnavailableError, Told, told
 from drivers.files.times import utc_ago
 from drivers.interfaces import DeviceEvent, EventSink, GateLost
 from drivers.outlet import Outlet
@@ -20,16 +20,16 @@ def trigger_at(
     return Trigger(sequence=sequence, received_ns=received_ns, device_ns=device_ns, utc=utc, kind=kind)
 
 
-def port_problem(error: Exception) -> str:
+def port_problem(error: Exception) -> Told:
     """Return the reason why a serial port cannot be opened, with the remedy where there is one."""
     match error:
         case OSError(errno=errno.ENOENT):
-            return "there is no such port: plug the gate in, and name it as under /dev/serial/by-id/"
+            return told(DeviceFault.GATE_PORT_MISSING)
         case OSError(errno=errno.EACCES):
-            return "permission denied: the service's user must be in the group dialout"
+            return told(DeviceFault.GATE_PORT_DENIED)
         case OSError(errno=errno.EAGAIN | errno.EBUSY):
-            return "is in use by another program"
-    return str(error)
+            return told(DeviceFault.GATE_PORT_TAKEN)
+    return told(DeviceFault.GATE_PORT_UNUSABLE, reported=str(error))
 
 
 class GateThread:
@@ -98,6 +98,8 @@ class GateThread:
             try:
                 turn()
             except (OSError, GateUnavailableError) as err:
-                self.failure = err.problem if isinstance(err, GateUnavailableError) else f"is gone: {err}"
-                self.deliver(GateLost(received_ns=time.monotonic_ns(), reason=f"{self._port} {self.failure}"))
+                gone = told(DeviceFault.GATE_GONE, reported=str(err))
+                lost = err if isinstance(err, GateUnavailableError) else self.error(gone)
+                self.failure = lost.problem
+                self.deliver(GateLost(received_ns=time.monotonic_ns(), reason=lost.told))
                 return

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from typing import NamedTuple, Protocol
 
-from drivers.errors import GateUnavailableError
+from drivers.errors import DeviceFault, GateUnavailableError, told
 from drivers.gates.line_gate import LineGate
 
 WAIT_S = 0.02
@@ -80,7 +80,7 @@ class GpiodLines:
             import gpiod
         except ImportError as err:
             raise GateUnavailableError(
-                f"light gate {settings.chip}", "the Python package gpiod (2.x) is missing: install it"
+                f"light gate {settings.chip}", told(DeviceFault.GATE_GPIOD_MISSING)
             ) from err
         self._values = gpiod.line.Value
         self._rising = gpiod.EdgeEvent.Type.RISING_EDGE
@@ -131,10 +131,7 @@ class GpioGate(LineGate):
         try:
             lines = self._held = self._lines = self._open_lines(self._settings)
         except (OSError, ValueError) as err:
-            raise self._thread.error(
-                f"cannot be opened: {err}; the chip must exist, the line be free, "
-                "and the service's user in the group dialout"
-            ) from err
+            raise self._thread.error(told(DeviceFault.GATE_GPIO_UNUSABLE, reported=str(err))) from err
         self._last = None
         return lambda: self._turn(lines)
 

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 
+from drivers.errors import DeviceFault, told
 from drivers.gates.gate_thread import port_problem
 from drivers.gates.line_gate import LineGate
 
@@ -155,7 +156,9 @@ class ModemLineGate(LineGate):
             first = line.look()
         except (OSError, ValueError) as err:
             is_no_port = isinstance(err, OSError) and err.errno == errno.ENOTTY
-            raise self._thread.error("has no modem lines" if is_no_port else port_problem(err)) from err
+            raise self._thread.error(
+                told(DeviceFault.GATE_NO_MODEM_LINES) if is_no_port else port_problem(err)
+            ) from err
         between = EdgesBetween(first)
         return lambda: self._turn(line, between)
 

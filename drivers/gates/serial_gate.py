@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import serial
 
+from drivers.errors import DeviceFault, told
 from drivers.gates.gate_listener import GateCounters, GateListener
 from drivers.gates.gate_protocol import STONEFALL
 from drivers.gates.gate_records import GateProtocol, Identity
@@ -88,11 +89,8 @@ class SerialGate:
         with self._heard:
             blocked_s, found = self._listener.blocked_s(now_ns), self._listener.troubles(now_ns)
         if blocked_s >= self._settings.blocked_s:
-            found.append(
-                f"the beam has been closed for {blocked_s:.0f} s: "
-                "remove what blocks it, clean and align sensor and light"
-            )
-        return tuple(f"light gate {self._settings.port}: {problem}" for problem in found)
+            found.append(told(DeviceFault.BEAM_CLOSED, closed_s=blocked_s))
+        return tuple(problem.after(f"light gate {self._settings.port}: ") for problem in found)
 
     def resume(self, count: GateCount, n_known: int) -> None:
         """Go on from the count of an earlier process that was killed while the gate was armed."""
@@ -116,9 +114,9 @@ class SerialGate:
                 if self._thread.failure is not None:
                     raise self._thread.error(self._thread.failure)
                 if time.monotonic() > deadline_s:
+                    waited_s, damaged = self._settings.answer_timeout_s, self.counters.garbage
                     raise self._thread.error(
-                        f"sends no identity and status within {self._settings.answer_timeout_s:g} s, but "
-                        f"{self.counters.garbage} damaged lines: check port, baud rate and firmware"
+                        told(DeviceFault.GATE_UNIDENTIFIED, waited_s=waited_s, damaged=damaged)
                     )
         except BaseException:
             self.close()
@@ -201,9 +199,7 @@ class SerialGate:
                 self._heard_ns = now_ns
             self._heard.notify_all()
         if now_ns - self._heard_ns > self._settings.silence_s * 1e9:
-            raise self._thread.error(
-                f"has sent nothing for {self._settings.silence_s:g} s: check its cable and its power supply"
-            )
+            raise self._thread.error(told(DeviceFault.GATE_MUTE, silent_s=self._settings.silence_s))
 
     def _hand_over(self, event: DeviceEvent) -> None:
         """Deliver an event, or count the stones it stands for until the gate is armed again."""

@@ -13,9 +13,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar
 
-from drivers.errors import DeviceError, LossCause
+from drivers.errors import DeviceError, LossCause, Told
 from drivers.interfaces import Camera, CameraVitals, EventSink, LightGate
-from service.base.messages import Code, CodedText, message
+from service.base.messages import Code, CodedText, findings_of, message
 from service.base.status import DeviceState
 
 log = logging.getLogger(__name__)
@@ -48,9 +48,9 @@ class DeviceLoss:
 
     @property
     def message(self) -> CodedText:
-        """The reason, coded by its cause."""
-        if isinstance(self.reason, CodedText):
-            return self.reason
+        """The reason, coded by its fault if it has one, else by its cause."""
+        if isinstance(self.reason, CodedText | Told):
+            return CodedText(self.reason, findings_of(self.reason))
         return message(Code(f"device_{self.cause}"), reported=self.reason)
 
     def is_like(self, other: "DeviceLoss | None") -> bool:
@@ -165,7 +165,7 @@ class DeviceKeeper:
                     await self.call(self.device.arm, sink)
                 except DeviceError as err:
                     failures += 1
-                    self.mark_lost(err.problem if err.device == self.name else str(err), err.cause)
+                    self.mark_lost(err.problem if err.device == self.name else err.told, err.cause)
                 else:
                     if self._n_losses == n_losses:  # not lost again while it was being armed
                         self._mark_armed()

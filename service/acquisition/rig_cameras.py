@@ -36,8 +36,8 @@ NOT_CAUSED_BY_CAMERA: frozenset[str] = frozenset(MissingReason) - {
 }  # fmt: skip
 """Reasons of missing frames that say nothing against an armed camera."""
 REOPENED_FOR: Mapping[str, str] = {
-    MissingReason.NO_FRAME: "answers, but sends no images: look at its trigger line and its settings",
-    MissingReason.FROZEN: "sends the same image again and again: switch it off and on",
+    MissingReason.NO_FRAME: message(Code.CAMERA_SENDS_NOTHING),
+    MissingReason.FROZEN: message(Code.CAMERA_FROZEN),
 }
 """Reasons of repeatedly missing frames for which the camera is opened anew, with what the operator is told."""
 MAX_MISSES = 3

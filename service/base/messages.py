@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 from pydantic import WrapValidator
 
+from drivers.errors import DeviceFault, Told
 from service.base.language import FOLDER, Language
 from service.base.schema import served
 
@@ -33,6 +34,25 @@ class Code(StrEnum):
     DEVICE_WRONG_SETTINGS = "device_wrong_settings"
     DEVICE_PROCESS_ENDED = "device_process_ended"
     DEVICE_OTHER = "device_other"
+    BEAM_CLOSED = "beam_closed"
+    GATE_LINES_LATE = "gate_lines_late"
+    GATE_RESTARTED = "gate_restarted"
+    GATE_PORT_MISSING = "gate_port_missing"
+    GATE_PORT_DENIED = "gate_port_denied"
+    GATE_PORT_TAKEN = "gate_port_taken"
+    GATE_PORT_UNUSABLE = "gate_port_unusable"
+    GATE_NO_MODEM_LINES = "gate_no_modem_lines"
+    GATE_GPIO_UNUSABLE = "gate_gpio_unusable"
+    GATE_GPIOD_MISSING = "gate_gpiod_missing"
+    GATE_UNIDENTIFIED = "gate_unidentified"
+    GATE_MUTE = "gate_mute"
+    GATE_GONE = "gate_gone"
+    DEVICE_DISCONNECTED = "device_disconnected"
+    RECEIVE_BUFFER_SMALL = "receive_buffer_small"
+    LINK_SLOW = "link_slow"
+    CLOCK_WITHOUT_MASTER = "clock_without_master"
+    CAMERA_SENDS_NOTHING = "camera_sends_nothing"
+    CAMERA_FROZEN = "camera_frozen"
     CAMERA_SKEWED = "camera_skewed"
     CAMERA_MISSES = "camera_misses"
     CAMERAS_SILENT = "cameras_silent"
@@ -55,6 +75,9 @@ class Code(StrEnum):
     WEBHOOK_DISABLED = "webhook_disabled"
     WEBHOOK_FAILING = "webhook_failing"
     WEBHOOK_UNREADABLE = "webhook_unreadable"
+    MAIL_SILENT = "mail_silent"
+    MAIL_FAILING = "mail_failing"
+    MAIL_REFUSED = "mail_refused"
     FILES_NOT_WRITTEN = "files_not_written"
     FOLDER_SILENT = "folder_silent"
     CONFIGURATION_REFUSED = "configuration_refused"
@@ -169,11 +192,15 @@ class CodedText(str):
 
 
 def _kept(value: Any, validate: Any) -> str:
-    return value if isinstance(value, CodedText) else validate(value)
+    return value if isinstance(value, CodedText | Told) else validate(value)
 
 
 Said = Annotated[str, WrapValidator(_kept)]
-"""A text of a model that stays a `CodedText` if it is one."""
+"""A text of a model that stays a `CodedText`, or the fault of a driver, if it is one."""
+
+
+NAMES = ("figure", "rules")
+"""Parameters that are names, or several with commas, and have words themselves."""
 
 
 def message(code: Code, **parameters: Value) -> CodedText:
@@ -203,14 +230,22 @@ def findings_of(said: str | None) -> tuple[CodedFinding, ...]:
         return ()
     if isinstance(said, CodedText):
         return said.findings
+    if isinstance(said, Told):
+        return (CodedFinding(code=Code(said.fault), parameters=said.parameters),)
     return (CodedFinding(code=Code.REPORTED, parameters={"reported": said}),)
 
 
 @cache
 def message_words(language: Language) -> Mapping[str, str]:
-    """Return the words of messages, `message.` and the code, and of their subjects, `subject.` and its name."""
+    """Return the words of messages, `message.` and the code, of their subjects, `subject.` and its name, and of names.
+
+    `name.` and the name are what a parameter of `NAMES` may say; `#` in it is a sieve's size.
+    The English ones of a device's fault are those of its driver.
+    """
     document = tomllib.loads((FOLDER / "messages.toml").read_text(encoding="utf-8"))
-    kinds = {"subject": document.pop("subjects"), "message": document}
+    faults: dict[str, dict[str, str]] = {fault: {Language.ENGLISH: fault.words} for fault in DeviceFault}
+    messages = document | {name: words | document[name] for name, words in faults.items()}
+    kinds = {"subject": messages.pop("subjects"), "name": messages.pop("names"), "message": messages}
     return {f"{kind}.{name}": each[language] for kind, words in kinds.items() for name, each in words.items()}
 
 
@@ -230,12 +265,20 @@ def worded(key: str, language: Language, values: Mapping[str, Value]) -> str:
     def shown(match: re.Match[str]) -> str:
         name, form = match.groups()
         value = values[name]
+        if name in NAMES:
+            return ", ".join(_named(each, language) for each in str(value).split(", "))
         if not form:
             return str(value)
         text = format(value, form)
         return text.replace(".", ",") if language is Language.GERMAN else text
 
     return re.sub(r"\{(\w+)(?::(\+?\.\df|g))?\}", shown, message_words(language)[key])
+
+
+def _named(name: str, language: Language) -> str:
+    size = "".join(re.findall(r"^passing_([\d.]+)_mm_percent$", name))
+    word = message_words(language).get(f"name.{name.replace(size, '#', 1) if size else name}", name)
+    return word.replace("#", size.replace(".", ",") if language is Language.GERMAN else size)
 
 
 def _subject(subject: str, language: Language) -> str:

@@ -2,6 +2,8 @@
 
 export const LANGUAGES = { en: "English", de: "Deutsch" };
 const TIME = /^\d{4}-\d\d-\d\dT[\d:.]+Z$/;
+/** Values that are names and have words, as in `service/base/messages.py`. */
+const NAMES = new Set(["figure", "rules"]);
 let words = {};
 
 /** Return the language: of the address, else the one chosen before, else the browser's. */
@@ -39,13 +41,31 @@ export function speak(chosen) {
 export function word(key, values = {}) {
   return (words[key] ?? key).replace(/\{(\w+)(?::(\+?)(?:\.(\d)f|g))?\}/g, (_, name, sign, digits) => {
     const value = values[name];
+    if (NAMES.has(name)) return String(value).split(", ").map(named).join(", ");
     if (sign === undefined) return TIME.test(value) ? time(value) : String(value);
     return (sign && value >= 0 ? "+" : "") + (digits === undefined ? value.toLocaleString(language()) : number(value, digits));
   });
 }
 
+/** Return the words of a name, in which `#` is the size of a sieve. */
+function named(name) {
+  const [, size] = name.match(/^passing_([\d.]+)_mm_percent$/) ?? [];
+  return wordOr(`name.${size === undefined ? name : "passing_#_mm_percent"}`, name).replace("#", size === undefined ? "#" : sieve(Number(size)));
+}
+
 /** Return what the service says of itself: a finding, whose code has words in each language, after what it is about. */
 export const said = ({ code, subjects, parameters }) => [...subjects.map(subject), word(`message.${code}`, parameters)].join(": ");
+
+/** Codes that have words for all that they report. */
+const COMPLETE = new Set([
+  ...["silent", "in_use", "control_lost", "process_ended"].map((cause) => `device_${cause}`),
+  "camera_misses", "camera_process_silent", "camera_process_replaced", "gate_counted", "verification_failed",
+]);
+
+/** Return the texts of other programs and devices, in English, that findings rest on and that their words leave out. */
+export const leftOut = (findings) => (language() === "en" ? [] : findings
+  .filter((each) => "reported" in each.parameters && !COMPLETE.has(each.code) && !said(each).includes(each.parameters.reported))
+  .map(({ parameters }) => parameters.reported));
 
 /** Return who asked, as the audit names those: a key by its name, or this machine. */
 export function asker(who) {

@@ -5,7 +5,7 @@ import { askWhenNew } from "../asking.js";
 import { byId, html, setText, showNew } from "../dom.js";
 import { actionButton, formDialog } from "../forms.js";
 import { prioritySymbol } from "../symbols.js";
-import { asker, language, said, time, word } from "../words.js";
+import { asker, language, leftOut, said, time, word } from "../words.js";
 
 const SHELF_MINUTES = [15, 60, 240, 480, 1440];
 const SHELF_AT_FIRST = 60;
@@ -42,8 +42,8 @@ const card = (alarm) =>
     html.h3(headline(alarm)),
     html.p(html.strong(word("operator.what-to-do")), " ", alarm.action),
     alarm.findings.length > 0 && html.p({ class: "detail", title: found(alarm) }, found(alarm)),
-    language() !== "en" && alarm.findings.some(({ parameters }) => "reported" in parameters) && html.details(
-      html.summary(word("operator.reported")), html.p({ class: "detail", lang: "en" }, `${alarm.check}: ${alarm.detail}`)),
+    leftOut(alarm.findings).length > 0 && html.details(
+      html.summary(word("operator.reported")), leftOut(alarm.findings).map((each) => html.p({ class: "detail" }, html.q({ lang: "en" }, each)))),
     html.div({ class: "actions" },
       alarm.state !== "acknowledged" && actionButton("operator.acknowledge", () => act(alarm, "acknowledge"), { class: "main" }),
       html.button({ type: "button", onclick: () => shelve(alarm) }, word("operator.shelve")),

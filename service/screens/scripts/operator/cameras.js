@@ -4,7 +4,7 @@ import { BASE } from "../api.js";
 import { byId, html, setText, showNew } from "../dom.js";
 import { openDialog } from "../forms.js";
 import { ne107Symbol, ne107Word } from "../symbols.js";
-import { language, quantity, said, span, word } from "../words.js";
+import { quantity, said, span, word } from "../words.js";
 
 const SHEET = `${BASE}/cameras/contact-sheet.jpg`;
 const COLUMNS = 4; // of the sheet
@@ -74,9 +74,6 @@ function enlarge(id) {
     camera.last_frame_age_s !== null && html.img({ src: `${BASE}/cameras/${encodeURIComponent(id)}/snapshot.png`, alt: word("operator.picture-of", { camera: id }) }),
     html.p(VALUES.map((value) => told(camera, value)).join(" · ")),
     html.p({ class: "weak" }, age),
-    camera.findings.map((each) => [
-      html.p({ class: "problem" }, said(each)),
-      each.code === "reported" && language() !== "en" && html.p({ lang: "en" }, each.parameters.reported),
-    ]),
+    camera.findings.map((each) => html.p({ class: "problem" }, said(each))),
   );
 }

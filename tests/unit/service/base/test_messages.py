@@ -5,6 +5,8 @@ import re
 
 import pytest
 
+from drivers.errors import DeviceFault, told
+from pipeline.gradation.control_chart import RuleName
 from service.base.language import Language
 from service.base.messages import (
     Code,
@@ -18,6 +20,7 @@ from service.base.messages import (
 )
 from service.base.status import AcquisitionState, AcquisitionStatus, HealthCheck, trouble_check
 from service.health.alarms.rules import load_rules
+from service.lots.figures import SHARES
 
 PLACE = re.compile(r"\{(\w+)(?::(?:\+?\.\df|g))?\}")
 
@@ -37,6 +40,22 @@ def test_a_translation_has_the_parameters_of_the_english_words(code: Code) -> No
     assert (
         message_words(Language.GERMAN)[f"message.{code}"]
         != message_words(Language.ENGLISH)[f"message.{code}"]
+    )
+
+
+def test_a_fault_of_a_driver_is_a_finding_in_every_language() -> None:
+    assert set(DeviceFault) <= set(Code)
+    fault = told(DeviceFault.GATE_MUTE, silent_s=2.5).after("light gate /dev/ttyACM0: ")
+    assert fault == (
+        "light gate /dev/ttyACM0: has sent nothing for 2.5 s: check its cable and its power supply"
+    )
+    found = (CodedFinding(code=Code.GATE_MUTE, parameters={"silent_s": 2.5}),)
+    assert findings_of(fault) == findings_of(pickle.loads(pickle.dumps(fault))) == found  # noqa: S301 - ours
+    status = AcquisitionStatus(state=AcquisitionState.HELD, gate_error=fault, gate_warnings=(fault,))
+    assert findings_of(status.gate_error) == findings_of(status.gate_warnings[0]) == found
+    assert in_language(found, Language.ENGLISH) == str(fault).partition(": ")[2]
+    assert in_language(found, Language.GERMAN) == (
+        "hat seit 2,5 s nichts gesendet: Kabel und Stromversorgung prüfen"
     )
 
 
@@ -76,3 +95,25 @@ def test_german_words_have_german_figures() -> None:
     )
     found = findings_of(message(Code.RESTART_NEEDED, settings="store.keep_raw, workers.slots"))
     assert in_language(found, Language.GERMAN) == "für store.keep_raw, workers.slots ist ein Neustart nötig"
+
+
+def test_figures_and_rules_that_a_message_names_have_words() -> None:
+    names = [*RuleName, *SHARES, "d50_mm", "passing_#_mm_percent"]
+    for language in Language:
+        assert {f"name.{name}" for name in names} <= set(message_words(language))
+    found = findings_of(
+        message(
+            Code.FIGURE_DRIFTS,
+            figure="passing_31.5_mm_percent",
+            value=81.25,
+            centre=88.5,
+            rules="beyond_limits, ewma",
+        )
+    )
+    assert in_language(found, Language.ENGLISH) == (
+        "passing 31.5 mm, %: 81.25 about 88.5 (beyond the limits, weighted mean beyond its limits)"
+    )
+    assert in_language(found, Language.GERMAN) == (
+        "Durchgang 31,5 mm, %: 81,25 bei Mittel 88,5"
+        " (jenseits der Eingriffsgrenzen, gewichtetes Mittel jenseits seiner Grenzen)"
+    )
