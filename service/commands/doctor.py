@@ -26,6 +26,7 @@ from service.configuration.rig_settings import AravisRigSettings, ReplayRigSetti
 from service.configuration.settings import Settings, load_settings, problems, shortcomings
 from service.daemon.diagnostics.archive import build_archive
 from service.daemon.diagnostics.diagnostic_inputs import diagnostic_inputs
+from service.delivery.mail import MailSettings, reason_of, send, trial_message
 from service.health.alarms.rules import load_rules
 from service.host.finding import Finding, HostVerdict, fault, judged, unknown
 from service.host.host import ROOT, Host, host_at
@@ -70,6 +71,9 @@ def command(
             help="Also arm the rig and fire the gate's test pulse, with and without the flash; no daemon may run.",
         ),
     ] = False,
+    mail: Annotated[
+        bool, typer.Option("--mail", help="Also send a test mail to all recipients of [mail].")
+    ] = False,
     root: Root = ROOT,
     url: ConfiguredUrl = None,
     key: Key = None,
@@ -81,11 +85,13 @@ def command(
     """
     settings = load_settings(config)
     host = host_at(root)
-    parts: Mapping[str, list[Finding]] = {
+    parts: dict[str, list[Finding]] = {
         "Host": check_host(host, host_needs(settings)),
         "Configuration": list(_configuration(config, settings)),
         "Rig": list(_rig(settings, host, DaemonClient(url or settings.api.local_url, key), is_fired=pulse)),
     }
+    if mail:
+        parts |= {"Mail": [check_mail(settings.mail)]}
     documents = {name.lower(): list(map(asdict, part)) for name, part in parts.items()}
     _report(parts, documents if as_json else None)
 
@@ -156,6 +162,20 @@ def check_daemon(daemon: DaemonClient) -> Iterator[Finding]:
         check = failing[name]
         found = check.get("detail") or str(check.get("observed_value"))
         yield fault(name, found=found, wanted="passes", remedy=rule.action[Language.ENGLISH])
+
+
+def check_mail(settings: MailSettings | None) -> Finding:
+    """Send a test mail, and return that the server took it for all recipients, or why not."""
+    wanted = "the server takes a test mail for every recipient"
+    if settings is None:
+        return unknown("mail", "the configuration has no [mail]", wanted)
+    try:
+        refused = send(trial_message(settings), settings)
+        found = f"{', '.join(refused)} refused" if refused else f"taken for {', '.join(settings.recipients)}"
+    except (OSError, ValueError) as err:  # of SMTP and TLS, too; of a file
+        refused, found = [*settings.recipients], reason_of(err)
+    remedy = f"check {settings.host}, port, tls, user, password_file and recipients of [mail]"
+    return judged("mail", is_good=not refused, found=found, wanted=wanted, remedy=remedy)
 
 
 def _configuration(file: Path, settings: Settings) -> Iterator[Finding]:

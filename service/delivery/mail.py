@@ -26,6 +26,8 @@ from pipeline.frames import rfc3339
 from service.base.addresses import is_host
 from service.base.errors import ServiceError, StoreError
 from service.base.language import Language
+from service.base.messages import Code, CodedText, joined
+from service.base.messages import message as coded
 from service.base.paths import ConfiguredPath
 from service.base.schema import require_ranges
 from service.base.status import Checks, trouble_check
@@ -133,16 +135,28 @@ def message_of(
     letter: Letter, event: Mapping[str, Any], instance_id: str, settings: MailSettings
 ) -> EmailMessage:
     """Return the message of an event, the same at each attempt."""
+    name = f"{event['type']}.{event['subject']}.{instance_id}"
+    message = _message(letter.subject, letter.text, datetime.fromisoformat(event["at"]), name, settings)
+    message.add_attachment(letter.pdf, maintype="application", subtype="pdf", filename=letter.file_name)
+    return message
+
+
+def trial_message(settings: MailSettings) -> EmailMessage:
+    """Return a message that shows its recipients that mail of this machine arrives."""
+    text = "Mail of stonefall arrives here. / Mail von stonefall kommt hier an.\n"
+    at = datetime.now(UTC)
+    return _message("stonefall: test mail / Testmail", text, at, f"trial.{at:%Y%m%dT%H%M%S.%f}", settings)
+
+
+def _message(subject: str, text: str, at: datetime, name: str, settings: MailSettings) -> EmailMessage:
     message = EmailMessage()
     message["From"] = Address("stonefall", addr_spec=settings.sender)
     message["To"] = ", ".join(settings.recipients)
-    message["Subject"] = " ".join(letter.subject.split())  # a header is one line
-    message["Date"] = format_datetime(datetime.fromisoformat(event["at"]))
-    domain = settings.sender.rpartition("@")[2]
-    message["Message-ID"] = f"<{event['type']}.{event['subject']}.{instance_id}@{domain}>"
+    message["Subject"] = " ".join(subject.split())  # a header is one line
+    message["Date"] = format_datetime(at)
+    message["Message-ID"] = f"<{name}@{settings.sender.rpartition('@')[2]}>"
     message["Auto-Submitted"] = "auto-generated"  # RFC 3834: no answer of an absent recipient
-    message.set_content(letter.text)
-    message.add_attachment(letter.pdf, maintype="application", subtype="pdf", filename=letter.file_name)
+    message.set_content(text)
     return message
 
 
@@ -180,17 +194,17 @@ class Mail:
         self._answer_s = answer_s
         self._progress: EndpointProgress | None = None
         self._refused: list[str] = []
-        self._silent: str | None = None
+        self._silent: CodedText | None = None
 
     def checks(self) -> Checks:
         """Return the check of mail, which warns of repeated failures and of recipients that are refused."""
         troubles = [self._silent] if self._silent else []
-        if self._progress is not None and self._progress.attempts >= FAILED_OFTEN:
-            troubles.append(
-                f"nothing is sent since {self._progress.failing_since}: {self._progress.last_problem}"
-            )
-        troubles += [f"{each} was refused" for each in self._refused]
-        return {"mail": trouble_check("; ".join(troubles) or None)}
+        progress = self._progress
+        if progress is not None and progress.attempts >= FAILED_OFTEN:
+            since, problem = str(progress.failing_since), str(progress.last_problem)
+            troubles.append(coded(Code.MAIL_FAILING, since=since, reported=problem))
+        troubles += [coded(Code.MAIL_REFUSED, recipient=each) for each in self._refused]
+        return {"mail": trouble_check(joined(troubles))}
 
     async def run(self, write: Write) -> None:
         """Send what is due whenever something is, until waiting in the store is ended."""
@@ -226,7 +240,7 @@ class Mail:
                 message = email["Message-ID"]
                 self._refused = await self._send(email, settings)
         except (OSError, ServiceError, ValueError) as err:
-            answer = EndpointAnswer(problem=_reason(err))
+            answer = EndpointAnswer(problem=reason_of(err))
         else:
             answer = EndpointAnswer()
         after = next_progress(before, event["seq"], answer, self._now())
@@ -252,7 +266,7 @@ class Mail:
         """Send a message; a server that does not answer is waited for, as it may have taken it."""
         sending = start_abandonable("mail", send, message, settings)
         while not (await asyncio.wait([sending], timeout=self._answer_s))[0]:
-            self._silent = f"{settings.host} has not answered for {self._answer_s:g} s"
+            self._silent = coded(Code.MAIL_SILENT, server=settings.host, waited_s=self._answer_s)
             log.error("mail: %s", self._silent)
         self._silent = None
         refused = sending.result()
@@ -261,8 +275,8 @@ class Mail:
         return refused
 
 
-def _reason(error: Exception) -> str:
-    """Return the reason of a failure in one line."""
+def reason_of(error: Exception) -> str:
+    """Return the reason for which `send` failed, in one line."""
     match error:
         case smtplib.SMTPRecipientsRefused(recipients=refused):
             return "; ".join(f"{name}: {_said(*answer)}" for name, answer in sorted(refused.items()))
