@@ -148,6 +148,19 @@ class Code(StrEnum):
     VERIFICATION_OVERDUE = "verification_overdue"
     VERIFICATION_MISSING = "verification_missing"
     CALIBRATION_OPEN = "calibration_open"
+    CALIBRATION_PROBLEM = "calibration_problem"
+    CALIBRATION_IDLE = "calibration_idle"
+    CALIBRATION_CHANGED = "calibration_changed"
+    CALIBRATION_NOT_COMPUTED = "calibration_not_computed"
+    CALIBRATION_NOT_WRITTEN = "calibration_not_written"
+    DIAMETER_OFF = "diameter_off"
+    DIAMETER_SCATTERS = "diameter_scatters"
+    DIAMETERS_DIFFER = "diameters_differ"
+    BALL_OF_OTHER_SIZE = "ball_of_other_size"
+    BALLS_MISSING = "balls_missing"
+    CANCELLED_ON_REQUEST = "cancelled_on_request"
+    DAEMON_RESTARTED = "daemon_restarted"
+    VERDICT_VOID = "verdict_void"
     VERIFICATION_OPEN = "verification_open"
     STUDY_SMALL_LOT = "study_small_lot"
     STUDY_FEW_LOTS = "study_few_lots"
@@ -199,7 +212,7 @@ Said = Annotated[str, WrapValidator(_kept)]
 """A text of a model that stays a `CodedText`, or the fault of a driver, if it is one."""
 
 
-NAMES = ("figure", "rules")
+NAMES = ("figure", "problem", "rules")
 """Parameters that are names, or several with commas, and have words themselves."""
 
 

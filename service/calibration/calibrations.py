@@ -20,7 +20,7 @@ from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
 from pipeline.rig.cameras import RigCalibration
 from service.base.errors import StoreError
-from service.base.messages import Code, message
+from service.base.messages import Code, CodedText, findings_of, message
 from service.base.status import (
     AcquisitionState,
     CalibrationFacts,
@@ -36,7 +36,13 @@ from service.calibration.drop_files import (
     outline_paths,
 )
 from service.calibration.drops import DropCollector, Solved, SolveJob, Solver, solve_apart
-from service.calibration.files import Activation, CalibrationRecord, CalibrationSummary, image_sizes_px
+from service.calibration.files import (
+    Activation,
+    CalibrationRecord,
+    CalibrationSummary,
+    fields_of,
+    image_sizes_px,
+)
 from service.calibration.startup import CalibrationsAtStart
 from service.calibration.states import (
     OPEN,
@@ -150,7 +156,7 @@ class Calibrations:
 
     def summary(self, record: CalibrationRecord) -> CalibrationSummary:
         """Return a calibration, with the fact whether it is in use."""
-        return CalibrationSummary(**asdict(record), is_active=record.id == self.active.id)
+        return CalibrationSummary(**fields_of(record), is_active=record.id == self.active.id)
 
     async def find(self, name: str) -> CalibrationDocument | None:
         """Return the details of one calibration, None when there is none of that name."""
@@ -255,9 +261,11 @@ class Calibrations:
         try:
             solved = await self._solver(job)
         except (JobLostError, WorkerStartError) as err:
-            solved = Solved(calibration_id=None, refusal=f"the solution could not be computed: {err}")
+            solved = Solved(
+                calibration_id=None, refusal=message(Code.CALIBRATION_NOT_COMPUTED, reported=str(err))
+            )
         except OSError as err:
-            solved = Solved(calibration_id=None, refusal=f"the solution cannot be written: {err.strerror}")
+            solved = Solved(calibration_id=None, refusal=_not_written(err))
         async with self._writing:
             record = self._records[name]
             if record.state is not CalibrationState.SOLVING:  # cancelled meanwhile
@@ -268,9 +276,13 @@ class Calibrations:
                     record, state, calibration_id=solved.calibration_id, detail=solved.refusal
                 )
             except OSError as err:  # as after a restart, where an unfinished solution collects again
-                detail = f"the solution cannot be written: {err.strerror}"
+                detail = _not_written(err)
                 record = replace(
-                    record, state=CalibrationState.COLLECTING, calibration_id=None, detail=detail
+                    record,
+                    state=CalibrationState.COLLECTING,
+                    calibration_id=None,
+                    detail=detail,
+                    findings=findings_of(detail),
                 )
                 self._records[name] = record
             self._last_activity_s = time.monotonic()
@@ -280,7 +292,7 @@ class Calibrations:
         async with self._writing:
             current = self.open_calibration
             if current is not None and time.monotonic() - self._last_activity_s > IDLE_S:
-                detail = f"nothing fell for {IDLE_S / 60:.0f} minutes"
+                detail = message(Code.CALIBRATION_IDLE, idle_min=IDLE_S / 60)
                 await self._change_state(current, CalibrationState.CANCELLED, detail=detail)
                 log.warning("calibration cancelled: %s calibration=%s", detail, current.id)
 
@@ -327,6 +339,8 @@ class Calibrations:
     async def _change_state(
         self, record: CalibrationRecord, state: CalibrationState, **changes: Any
     ) -> CalibrationRecord:
+        if "detail" in changes:
+            changes["findings"] = findings_of(changes["detail"])
         record = replace(record, state=state, changed_at=utc_now(), **changes)
         await asyncio.to_thread(self._files.write, record)
         self._records[record.id] = record
@@ -338,6 +352,10 @@ class Calibrations:
         await asyncio.to_thread(keep_drop, self._files.drops(name), drop, outlines)
         if drop.views:
             self._last_activity_s = time.monotonic()
+
+
+def _not_written(error: OSError) -> CodedText:
+    return message(Code.CALIBRATION_NOT_WRITTEN, reported=str(error.strerror))
 
 
 def calibration_checks(facts: CalibrationFacts) -> Checks:

@@ -21,7 +21,7 @@ from pipeline.calibration.coverage import Coverage, coverage
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.base.schema import served
-from service.calibration.files import CalibrationFiles, CalibrationSummary, read_document
+from service.calibration.files import CalibrationFiles, CalibrationSummary, fields_of, read_document
 
 HEADER = "header.json"
 """Name of the array that is no camera's; a camera id has no dot."""
@@ -105,7 +105,7 @@ def calibration_document(
     rig = files.rig(summary) if is_solved else rig_in_use
     report = (files.report(summary) if is_solved else None) or {}
     return CalibrationDocument(
-        **asdict(summary),
+        **fields_of(summary),
         drops=drops,
         coverage=coverage([_without_outlines(drop) for drop in drops], rig),
         residuals_before_px={camera: fmean(squares[camera]) ** 0.5 for camera in sorted(squares)},

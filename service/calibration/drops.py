@@ -31,6 +31,7 @@ from pipeline.rig.cameras import RigCalibration, rig_to_document
 from pipeline.segmentation import BackgroundModel, Segmenter, segment_all
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.views.epipolar_tangency import epipolar_tangents, outlines_of, tangency_scores_px
+from service.base.messages import Code, CodedFinding, CodedText, joined
 from service.calibration.drop_files import ObservedDrop, SeenCircle, read_drop, write_drop
 from service.calibration.files import REPORT, RIG
 from service.calibration.states import Method
@@ -67,9 +68,16 @@ class SolvedRig:
         return refusal_of(self.problems)
 
 
-def refusal_of(problems: Sequence[CalibrationProblem]) -> str | None:
+def refusal_of(problems: Sequence[CalibrationProblem]) -> CodedText | None:
     """Return the fatal problems in one line, None when there are none."""
-    return "; ".join(problem.detail for problem in problems if problem.is_fatal) or None
+    return joined([_coded(problem) for problem in problems if problem.is_fatal])
+
+
+def _coded(problem: CalibrationProblem) -> CodedText:
+    subjects = () if problem.camera is None else (f"camera:{problem.camera}",)
+    parameters = {"problem": str(problem.code), "reported": problem.detail}
+    found = CodedFinding(code=Code.CALIBRATION_PROBLEM, subjects=subjects, parameters=parameters)
+    return CodedText(problem.detail, [found])
 
 
 def observe_drop(

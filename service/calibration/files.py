@@ -16,7 +16,7 @@ import logging
 import re
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -29,6 +29,7 @@ from drivers.files.rig_file import read_rig, write_rig
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
 from service.base import aside
+from service.base.messages import CodedFinding
 from service.base.schema import Time, served
 from service.calibration.states import CalibrationState
 from service.processing.measure_job import RigFile
@@ -73,6 +74,13 @@ class CalibrationRecord:
     """Checksum of its rig file, which results name; null without a rig."""
     detail: str | None = None
     """Why it was cancelled, could not be solved, or must not be accepted; null otherwise."""
+    findings: tuple[CodedFinding, ...] = ()
+    """What `detail` says, as codes with their parameters; `reported` where it is the solution's own text."""
+
+
+def fields_of(record: CalibrationRecord) -> dict[str, Any]:
+    """Return the fields of a record by name, their values as they are."""
+    return {each.name: getattr(record, each.name) for each in fields(record)}
 
 
 @served

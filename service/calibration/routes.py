@@ -15,6 +15,7 @@ from pipeline.gradation.control_chart import (
     baseline_of,
     control_chart,
 )
+from service.base.messages import Code, message
 from service.base.schema import TIME, Name, RequestBody
 from service.base.status import AcquisitionStatus
 from service.calibration.calibrations import Calibrations
@@ -278,7 +279,9 @@ async def cancel_verification(context: Context, verification: VerificationName, 
     """Cancel a verification: it ends without a verdict. One that has ended stays as it is."""
     known = context.part(Calibrations).verifications
     before = existing(known.find(verification), "verification", verification)
-    after = existing(await known.cancel(verification, "cancelled on request"), "verification", verification)
+    after = existing(
+        await known.cancel(verification, message(Code.CANCELLED_ON_REQUEST)), "verification", verification
+    )
     await context.store.note_change(
         asking, "verification cancelled", verification, before=_audited(before), after=_audited(after)
     )

@@ -13,7 +13,7 @@ from drivers.errors import RecordingError
 from drivers.files.rig_file import write_rig
 from drivers.files.times import utc_now
 from pipeline.rig.cameras import RigCalibration
-from service.base.messages import Code, message
+from service.base.messages import Code, findings_of, message
 from service.calibration.files import (
     Activation,
     Activations,
@@ -146,11 +146,22 @@ def _after_restart(
 ) -> CalibrationRecord:
     """Return an open calibration as it goes on: without an unfinished solution, or cancelled."""
     if record.initial_calibration_id != active.calibration_id:
-        detail = "the daemon was restarted with another calibration"
-        record = replace(record, state=CalibrationState.CANCELLED, detail=detail, changed_at=utc_now())
+        detail = message(Code.CALIBRATION_CHANGED)
+        record = replace(
+            record,
+            state=CalibrationState.CANCELLED,
+            detail=detail,
+            findings=findings_of(detail),
+            changed_at=utc_now(),
+        )
     elif record.state is CalibrationState.SOLVING or not _has_whole_solution(files, record):
         record = replace(
-            record, state=CalibrationState.COLLECTING, calibration_id=None, detail=None, changed_at=utc_now()
+            record,
+            state=CalibrationState.COLLECTING,
+            calibration_id=None,
+            detail=None,
+            findings=(),
+            changed_at=utc_now(),
         )
     files.write(record)
     log.warning("calibration %s: %s after a restart", record.id, record.state)

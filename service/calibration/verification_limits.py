@@ -6,6 +6,7 @@ vertical against the horizontal diameter, which differ when a ball moves too far
 
 from statistics import fmean, stdev
 
+from service.base.messages import Code, CodedFinding, CodedText, message
 from service.base.schema import require_ranges, served
 
 MAX_SIZE_RATIO = 1.1
@@ -24,6 +25,8 @@ class VerifiedBall:
     """Vertical minus horizontal diameter, mm; null: unknown."""
     detail: str | None = None
     """Why it does not count; null when it does."""
+    findings: tuple[CodedFinding, ...] = ()
+    """What `detail` says, as codes with their parameters; empty of a rejected ball, whose `reason` its result has."""
 
 
 @served
@@ -55,37 +58,26 @@ class VerificationParameters:
         limits_mm = dict.fromkeys(("error_mm", "sd_mm", "vertical_minus_horizontal_mm"), (1e-3, 10.0))
         require_ranges(self, every_h=(0, 10_000), **limits_mm)
 
-    def problems(self, balls: tuple[VerifiedBall, ...], diameter_mm: float) -> list[str]:
+    def problems(self, balls: tuple[VerifiedBall, ...], diameter_mm: float) -> list[CodedText]:
         """Return the figures that exceed their limits, each with the remedy."""
         summary = summarize(balls, diameter_mm)
         found = []
         if abs(summary.error_mm) > self.error_mm:
-            found.append(
-                f"the diameter is {summary.error_mm:+.3f} mm off on average, {self.error_mm:g} is the limit:"
-                " check the diameter that was entered, then calibrate anew"
-            )
+            found.append(message(Code.DIAMETER_OFF, error_mm=summary.error_mm, limit_mm=self.error_mm))
         if summary.sd_mm > self.sd_mm:
-            found.append(
-                f"the diameter scatters by {summary.sd_mm:.3f} mm, {self.sd_mm:g} is the limit:"
-                " check dropped views, the light and dust"
-            )
+            found.append(message(Code.DIAMETER_SCATTERS, sd_mm=summary.sd_mm, limit_mm=self.sd_mm))
         difference_mm = summary.vertical_minus_horizontal_mm
         if difference_mm is not None and abs(difference_mm) > self.vertical_minus_horizontal_mm:
-            found.append(
-                f"the vertical diameter is {difference_mm:+.3f} mm against the horizontal,"
-                f" {self.vertical_minus_horizontal_mm:g} is the limit: shorten the exposure, or calibrate anew"
-            )
+            limit_mm = self.vertical_minus_horizontal_mm
+            found.append(message(Code.DIAMETERS_DIFFER, difference_mm=difference_mm, limit_mm=limit_mm))
         return found
 
 
-def size_refusal(measured_mm: float, diameter_mm: float) -> str | None:
+def size_refusal(measured_mm: float, diameter_mm: float) -> CodedText | None:
     """Return the reason why a body of this size is not the ball of the stated diameter, None when it may be."""
     if 1 / MAX_SIZE_RATIO <= measured_mm / diameter_mm <= MAX_SIZE_RATIO:
         return None
-    return (
-        f"measures {measured_mm:.2f} mm, not {diameter_mm:g} mm: it is another ball or a stone, or another diameter was"
-        " entered"
-    )
+    return message(Code.BALL_OF_OTHER_SIZE, measured_mm=measured_mm, diameter_mm=diameter_mm)
 
 
 def summarize(balls: tuple[VerifiedBall, ...], diameter_mm: float) -> Summary:

@@ -18,7 +18,7 @@ from pydantic import Field, computed_field
 
 from drivers.files.times import utc_now
 from pipeline.frames import BundleKind
-from service.base.messages import Code, CodedText, message
+from service.base.messages import Code, CodedFinding, CodedText, findings_of, joined, message
 from service.base.schema import Name, Remark, Time, request_body, served
 from service.calibration.drop_files import ObservedDrop
 from service.calibration.drops import DropCollector
@@ -80,6 +80,8 @@ class Verification:
     """In the order in which they fell."""
     problems: tuple[str, ...] = ()
     """Why it failed or was cancelled, with the remedy."""
+    problem_findings: tuple[CodedFinding, ...] = ()
+    """What `problems` say, as codes with their parameters; empty if it ended before there were codes."""
 
     @property
     def measured(self) -> tuple[VerifiedBall, ...]:
@@ -130,7 +132,7 @@ class Verifications:
         paths = {path.stem: path for path in folder.glob("*.json")}
         for verification in read_numbered("verification", paths, Verification):
             if verification.state is COLLECTING:
-                verification = _cancelled(verification, "the daemon was restarted")
+                verification = _cancelled(verification, message(Code.DAEMON_RESTARTED))
                 write_document(paths[verification.id], verification)
                 on_ended(verification)
             self._known[verification.id] = verification
@@ -224,8 +226,13 @@ class Verifications:
     async def void(self, name: str, reason: str) -> Verification | None:
         """Declare a verdict void and return the verification, as it is without a verdict; None when there is none."""
         if (verification := self._known.get(name)) is not None and verification.state in VERDICTS:
-            problems = (*verification.problems, f"void: {reason}")
-            verification = replace(verification, state=VerificationState.VOID, problems=problems)
+            told = message(Code.VERDICT_VOID, reason=reason)
+            verification = replace(
+                verification,
+                state=VerificationState.VOID,
+                problems=(*verification.problems, told),
+                problem_findings=(*verification.problem_findings, *findings_of(told)),
+            )
             await self._keep(verification)
             log.warning("verification void: %s verification=%s", reason, name)
         return verification
@@ -233,7 +240,7 @@ class Verifications:
     async def cancel_idle(self) -> None:
         """Cancel the open verification when no ball has fallen for `IDLE_S`."""
         if (current := self.current) is not None and time.monotonic() - self._last_ball_s > IDLE_S:
-            reason = f"no ball of {current.diameter_mm:g} mm fell for {IDLE_S / 60:.0f} minutes"
+            reason = message(Code.BALLS_MISSING, diameter_mm=current.diameter_mm, idle_min=IDLE_S / 60)
             await self.cancel(current.id, reason)
 
     async def _add(self, name: str, drop: ObservedDrop, record: Result, outlines: Path | None) -> None:
@@ -242,14 +249,16 @@ class Verifications:
         if verification.state is not COLLECTING or not measured_with_it:
             return
         diameter_mm, detail = record.equivalent_diameter_mm, record.detail
+        findings: tuple[CodedFinding, ...] = ()
         if diameter_mm is not None and (refusal := size_refusal(diameter_mm, verification.diameter_mm)):
             log.warning("verification: %s verification=%s bundle=%s", refusal, name, drop.bundle)
-            diameter_mm, detail = None, refusal
+            diameter_mm, detail, findings = None, refusal, findings_of(refusal)
         seen = VerifiedBall(
             bundle=drop.bundle,
             equivalent_diameter_mm=diameter_mm,
             vertical_minus_horizontal_mm=None if diameter_mm is None else drop.vertical_minus_horizontal_mm,
             detail=detail,
+            findings=findings,
         )
         verification = replace(verification, balls=(*verification.balls, seen), changed_at=utc_now())
         if diameter_mm is not None:
@@ -257,7 +266,12 @@ class Verifications:
         if len(verification.measured) == verification.count:
             problems = self.parameters.problems(verification.measured, verification.diameter_mm)
             state = VerificationState.FAILED if problems else VerificationState.PASSED
-            verification = replace(verification, state=state, problems=tuple(problems))
+            verification = replace(
+                verification,
+                state=state,
+                problems=tuple(problems),
+                problem_findings=findings_of(joined(problems)),
+            )
             level = logging.ERROR if problems else logging.INFO
             log.log(level, "verification %s verification=%s %s", state, name, "; ".join(problems))
         await self._keep(verification)
@@ -283,4 +297,10 @@ def _age(verification: Verification, now: datetime) -> timedelta:
 
 
 def _cancelled(verification: Verification, reason: str) -> Verification:
-    return replace(verification, state=VerificationState.CANCELLED, problems=(reason,), changed_at=utc_now())
+    return replace(
+        verification,
+        state=VerificationState.CANCELLED,
+        problems=(reason,),
+        problem_findings=findings_of(reason),
+        changed_at=utc_now(),
+    )

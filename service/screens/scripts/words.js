@@ -3,7 +3,7 @@
 export const LANGUAGES = { en: "English", de: "Deutsch" };
 const TIME = /^\d{4}-\d\d-\d\dT[\d:.]+Z$/;
 /** Values that are names and have words, as in `service/base/messages.py`. */
-const NAMES = new Set(["figure", "rules"]);
+const NAMES = new Set(["figure", "problem", "rules"]);
 let words = {};
 
 /** Return the language: of the address, else the one chosen before, else the browser's. */

@@ -8,7 +8,7 @@ import { number, time, word } from "../words.js";
 import { findings, residualBars, solutionFacts } from "./calibration_report.js";
 import { cameraCoverage, dropList, spaceCoverage, wanted } from "./coverage.js";
 import { rigInUse } from "./rig.js";
-import { buttons, columns, hands, makeWizard, note, progress, seeingNote, signature, verdict } from "./wizard.js";
+import { buttons, columns, hands, makeWizard, note, progress, seeingNote, signature, told, verdict } from "./wizard.js";
 
 const STEPS = ["prepare", "drop", "solve", "review", "use"];
 const POLL_S = 1;
@@ -39,7 +39,7 @@ export function mountCalibration(place) {
 
   function prepareStep(latest) {
     return [
-      latest?.state === "cancelled" && latest.detail && html.p({ class: "note" }, word("setup.calibration-was-cancelled", { id: latest.id }), ` ${latest.detail}`),
+      latest?.state === "cancelled" && latest.detail && html.p({ class: "note" }, word("setup.calibration-was-cancelled", { id: latest.id }), " ", told(latest.findings, latest.detail)),
       hands("setup.calibration-need-ball", "setup.calibration-measure-ball", "setup.calibration-stop-feed", "setup.calibration-production"),
       makeForm(
         "setup.calibration-start",
@@ -76,9 +76,9 @@ export function mountCalibration(place) {
     ];
   }
 
-  function showDrops({ detail, drops, coverage, residuals_before_px: residuals, ball_diameters_mm: diameters }) {
+  function showDrops({ detail, findings: why, drops, coverage, residuals_before_px: residuals, ball_diameters_mm: diameters }) {
     const { n_drops: n, goals } = coverage;
-    showNew(live.detail, detail, () => detail !== null && note("setup.calibration-not-solved", detail));
+    showNew(live.detail, detail, () => detail !== null && note("setup.calibration-not-solved", told(why, detail)));
     showNew(live.count, n, () => progress(word("setup.calibration-count", { n, goal: goals.n_drops }), n, goals.n_drops));
     showNew(live.wanted, coverage, () => wanted(coverage, rig));
     showNew(live.space, [drops, goals], () => spaceCoverage(drops, coverage, rig));
@@ -129,9 +129,9 @@ export function mountCalibration(place) {
 
   function showPast({ active, items }) {
     const activate = (id) => actionButton("setup.calibration-activate", () => act(id, "activate"), { "aria-label": `${word("setup.calibration-activate")} ${id}` });
-    const row = ({ id, created_at: at, by, state, detail }) => {
+    const row = ({ id, created_at: at, by, state, detail, findings: why }) => {
       const shown = id === active.id ? "in-use" : state;
-      return [id, time(at), by ?? "–", word(`setup.calibration-state-${shown}`), shown === "accepted" ? activate(id) : detail];
+      return [id, time(at), by ?? "–", word(`setup.calibration-state-${shown}`), shown === "accepted" ? activate(id) : told(why, detail)];
     };
     wizard.showPast([active, items.map(({ id, state }) => [id, state])], () => [
       html.h2(word("setup.calibration-past")),

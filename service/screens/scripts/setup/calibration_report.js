@@ -1,16 +1,17 @@
 /** What came of a calibration: its findings in words for the hands, its figures, the residuals before and after. */
 
 import { described, html, rowHead, table, wide } from "../dom.js";
-import { number, quantity, word, wordOr } from "../words.js";
+import { language, number, quantity, word, wordOr } from "../words.js";
 import { finding } from "./wizard.js";
 
 /** Return the findings, the fatal ones first, each with what to do. */
 export function findings(problems) {
   if (problems.length === 0) return html.p(word("setup.calibration-no-findings"));
   const sorted = [...problems].sort((a, b) => b.is_fatal - a.is_fatal);
-  return html.ul({ class: "findings" }, sorted.map(({ code, detail, is_fatal: isFatal }) => {
+  return html.ul({ class: "findings" }, sorted.map(({ code, camera, detail, is_fatal: isFatal }) => {
     const grade = word(isFatal ? "setup.finding-fatal" : "setup.finding-warning");
-    return finding(html.strong(grade, ": ", wordOr(`setup.problem-${code}`, code)), detail, isFatal);
+    const more = language() === "en" ? detail : camera && `${word("setup.camera")} ${camera}`; // figures are English text
+    return finding(html.strong(grade, ": ", wordOr(`name.${code}`, code)), more, isFatal);
   }));
 }
 

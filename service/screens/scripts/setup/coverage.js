@@ -3,6 +3,7 @@
 import { html, svg } from "../dom.js";
 import { number, quantity, word, wordOr } from "../words.js";
 import { cameraTowards, project } from "./rig.js";
+import { quoted } from "./wizard.js";
 
 const PLANES = [["setup.space-above", 0, 1], ["setup.space-side", 0, 2], ["setup.space-front", 1, 2]];
 const AXES = ["x", "y", "z"];
@@ -85,7 +86,7 @@ export function cameraCoverage(drops, { cameras: seen, goals }, rig, diameter_mm
 export function dropList(drops) {
   const told = ({ views, refused }) =>
     [word("setup.drop-views", { n: views.length }), ...Object.entries(refused).map(([camera, code]) => `${camera}: ${wordOr(`setup.refused-${code}`, code)}`)].join("; ");
-  const item = (drop) => html.li(html.span(quantity(drop.diameter_mm, 2, "mm")), ` ${drop.problem ?? told(drop)}`);
+  const item = (drop) => html.li(html.span(quantity(drop.diameter_mm, 2, "mm")), " ", drop.problem === null ? told(drop) : quoted(drop.problem));
   if (drops.length === 0) return html.p({ class: "weak" }, word("setup.no-drops"));
   return [html.h3(word("setup.drops")), html.ol({ class: "drops", reversed: true }, drops.map(item).reverse())];
 }

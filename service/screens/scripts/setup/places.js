@@ -8,7 +8,7 @@ import { number, word } from "../words.js";
 import { conclude, snippet } from "./conclusions.js";
 import { drawings } from "./drawings.js";
 import { rigInUse } from "./rig.js";
-import { buttons, columns, finding, hands, makeWizard, note, progress, verdict } from "./wizard.js";
+import { buttons, columns, finding, hands, makeWizard, note, progress, quoted, verdict } from "./wizard.js";
 
 const STEPS = ["prepare", "find", "result"];
 const SEEN = "rig-places";
@@ -191,7 +191,7 @@ export function mountPlaces(place) {
     };
     return [
       verdict(findings.length === 0, word(findings.length === 0 ? "setup.places-agree" : "setup.places-contradict", { n: findings.length })),
-      findings.length > 0 && html.ul({ class: "findings" }, findings.map(({ code, values, detail }) => finding(html.strong(word(`setup.place-finding-${code}`, values)), detail))),
+      findings.length > 0 && html.ul({ class: "findings" }, findings.map(({ code, values, detail }) => finding(html.strong(word(`setup.place-finding-${code}`, values)), quoted(detail)))),
       html.div({ class: "columns" }, placeTable(rows), html.div(html.h3(word("setup.places-snippet")), file, copyButtons(file))),
       html.h3(word("setup.places-run-next")),
       html.ol({ class: "hands" }, ["check", "restart", "again", "calibrate"].map((key) => html.li(word(`setup.places-then-${key}`)))),

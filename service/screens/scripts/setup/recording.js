@@ -5,7 +5,7 @@ import { poll } from "../asking.js";
 import { html, showNew, table, wide } from "../dom.js";
 import { actionButton, askFirst, field, makeForm } from "../forms.js";
 import { number, span, time, word } from "../words.js";
-import { buttons, columns, hands, makeWizard, progress, seeingNote, verdict } from "./wizard.js";
+import { buttons, columns, hands, makeWizard, progress, quoted, seeingNote, verdict } from "./wizard.js";
 
 const STEPS = ["prepare", "record", "done"];
 const POLL_S = 1;
@@ -82,7 +82,7 @@ export function mountRecording(place) {
     };
     return [
       verdict(state === "complete", word(`setup.recording-end-${state}`, { name })),
-      reason !== null && html.p({ class: "problem" }, reason),
+      reason !== null && html.p({ class: "problem" }, quoted(reason)),
       endedBy !== null && html.p(word(`setup.recording-ended-${endedBy}`), " ", word("setup.recording-has", { n: number(bundles), size: size(bytes) })),
       buttons(state === "complete" && download(name, "main"), actionButton("setup.recording-again", recordAgain)),
       state === "complete" && html.p({ class: "weak" }, word("setup.recording-next")),

@@ -4,9 +4,9 @@ import { get, post } from "../api.js";
 import { poll } from "../asking.js";
 import { html, showNew, table, wide } from "../dom.js";
 import { actionButton, askFirst, field, makeForm } from "../forms.js";
-import { number, span, time, word } from "../words.js";
+import { number, said, span, time, word } from "../words.js";
 import { controlChart, gauge } from "./charts.js";
-import { buttons, columns, finding, hands, makeWizard, progress, seeingNote, signature, verdict } from "./wizard.js";
+import { buttons, columns, finding, hands, makeWizard, progress, quoted, seeingNote, signature, told, verdict } from "./wizard.js";
 
 const STEPS = ["prepare", "drop", "verdict"];
 const POLL_S = 1;
@@ -76,7 +76,7 @@ export function mountVerification(place) {
       field("setup.verification-void-reason", { name: "reason", required: true, maxlength: 2000 }));
 
   function verdictStep(verification, limits) {
-    const { id, state, summary, problems } = verification;
+    const { id, state, summary, problems, problem_findings: found } = verification;
     const verifyAgain = () => {
       followed = null;
       return again();
@@ -84,7 +84,7 @@ export function mountVerification(place) {
     return [
       verdict(state === "passed", word(`setup.verification-state-${state}`)),
       gauges(summary, limits),
-      problems.length > 0 && html.ul({ class: "findings" }, problems.map((problem) => finding(problem))),
+      problems.length > 0 && html.ul({ class: "findings" }, (found.length > 0 ? found.map(said) : problems.map(quoted)).map((each) => finding(each))),
       state === "failed" && hands("setup.verification-failed-hands"),
       ballTable(verification),
       buttons(
@@ -112,8 +112,8 @@ function gauges(summary, limits) {
 
 function ballTable({ balls, diameter_mm: diameter }) {
   if (balls.length === 0) return html.p({ class: "weak" }, word("setup.no-drops"));
-  const rows = balls.map(({ equivalent_diameter_mm: measured, vertical_minus_horizontal_mm: difference, detail }, n) =>
-    [number(n + 1), number(measured, 3), number(measured && measured - diameter, 3), number(difference, 3), detail]);
+  const rows = balls.map(({ equivalent_diameter_mm: measured, vertical_minus_horizontal_mm: difference, detail, findings }, n) =>
+    [number(n + 1), number(measured, 3), number(measured && measured - diameter, 3), number(difference, 3), told(findings, detail)]);
   return wide(word("setup.wizard-verification"), table({}, columns("ball-number", "ball-measured", "ball-error", "ball-difference", "ball-detail"), rows, [0, 1, 2, 3]));
 }
 

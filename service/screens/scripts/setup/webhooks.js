@@ -5,7 +5,7 @@ import { poll } from "../asking.js";
 import { html, show, showNew, table, wide } from "../dom.js";
 import { actionButton, askFirst, field, makeForm } from "../forms.js";
 import { number, time, word } from "../words.js";
-import { columns, verdict } from "./wizard.js";
+import { columns, quoted, verdict } from "./wizard.js";
 
 const POLL_S = 3;
 
@@ -98,7 +98,7 @@ function state({ waiting, attempts, disabled_at: disabledAt, last_problem: probl
   const now = disabledAt !== null ? word("setup.webhook-disabled", { at: time(disabledAt) }) : attempts > 0 ? word("setup.webhook-failing", { n: number(attempts) }) : word("setup.webhook-good", { n: number(waiting) });
   return html.td(
     now,
-    problem !== null && html.small({ class: "problem" }, ` ${problem}`),
+    problem !== null && html.small({ class: "problem" }, " ", quoted(problem)),
     taken !== null && html.small(` ${word("setup.webhook-last", { at: time(taken) })}`),
     isFixed && html.small(` ${word("setup.webhook-fixed")}`),
   );

@@ -4,7 +4,7 @@ import { get, put } from "../api.js";
 import { poll } from "../asking.js";
 import { html, show, showNew } from "../dom.js";
 import { actionButton, field } from "../forms.js";
-import { word } from "../words.js";
+import { language, said, word } from "../words.js";
 
 /**
  * Return a wizard in `place` with the steps of these names; `enter` shows one of them, and does nothing if it is
@@ -44,7 +44,13 @@ export const verdict = (isGood, ...text) => html.p({ class: isGood ? "verdict go
 export const buttons = (...children) => html.div({ class: "buttons" }, children);
 
 /** Return a note on what keeps the rig from seeing or solving, with its detail. */
-export const note = (key, detail = null) => html.p({ class: "note" }, html.strong(word(key)), detail && ` ${detail}`);
+export const note = (key, detail = null) => html.p({ class: "note" }, html.strong(word(key)), detail && [" ", detail]);
+
+/** Return a text of others, which is English: marked as such, in quotes, on pages of another language. */
+export const quoted = (text) => text && (language() === "en" ? text : html.q({ lang: "en" }, text));
+
+/** Return what findings say, where there are none the text. */
+export const told = (findings, text) => (findings.length > 0 ? findings.map(said).join("; ") : quoted(text));
 
 /** Return what is to be put right: each in words, with its detail. */
 export const finding = (text, detail = null, isFatal = true) => html.li({ class: isFatal ? "fatal" : "" }, text, detail && html.small(detail));

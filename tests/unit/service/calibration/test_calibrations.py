@@ -25,6 +25,7 @@ from drivers.files.rig_file import read_rig, write_rig
 from pipeline.calibration import CalibrationProblem
 from pipeline.frames import BundleKind
 from service.base.errors import StoreError
+from service.base.messages import Code
 from service.base.status import AcquisitionState
 from service.calibration import calibrations
 from service.calibration.files import CalibrationFiles, CalibrationRecord
@@ -152,19 +153,23 @@ async def test_what_must_not_be_used_is_not_accepted(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    "solver",
+    ("solver", "code"),
     [
-        MadeUpSolver(rig=None, problems=(CalibrationProblem(code="too_few", detail="too few drops"),)),
-        MadeUpSolver(failure=JobLostError("deadline", "too few drops")),
+        (
+            MadeUpSolver(rig=None, problems=(CalibrationProblem(code="too_few", detail="too few drops"),)),
+            Code.CALIBRATION_PROBLEM,
+        ),
+        (MadeUpSolver(failure=JobLostError("deadline", "too few drops")), Code.CALIBRATION_NOT_COMPUTED),
     ],
 )
-async def test_what_cannot_be_solved_goes_on_collecting(tmp_path: Path, solver: MadeUpSolver):
+async def test_what_cannot_be_solved_goes_on_collecting(tmp_path: Path, solver: MadeUpSolver, code: Code):
     desk = open_desk(tmp_path, solver=solver)
     name = await solved(desk)
     details = await desk.find(name)
     assert details is not None
     assert details.state is CalibrationState.COLLECTING
     assert "too few drops" in str(details.detail)
+    assert [each.code for each in details.findings] == [code]
     assert desk.wants_balls
 
 

@@ -10,6 +10,8 @@ import pytest
 from support.calibration_desk import a_drop
 from support.outcomes import result
 
+from service.base.language import Language
+from service.base.messages import Code, in_language
 from service.calibration import verifications
 from service.calibration.verification_limits import VerificationParameters
 from service.calibration.verifications import (
@@ -98,6 +100,7 @@ async def test_each_limit_fails_with_a_remedy(tmp_path: Path, diameters_mm, unev
     assert trouble is not None
     (found,) = desk.all()
     assert (found.state, len(found.problems)) == (VerificationState.FAILED, 1)
+    assert in_language(found.problem_findings, Language.ENGLISH) == found.problems[0]
     with pytest.raises(ValueError, match=problem):
         raise ValueError(trouble)
     assert desk.trouble("another", datetime.now(UTC)) is None
@@ -152,6 +155,11 @@ async def test_it_ends_without_a_verdict(tmp_path: Path, monkeypatch: pytest.Mon
         (third.id, VerificationState.CANCELLED, "no ball of 1"),
         (second.id, VerificationState.CANCELLED, "cancelled on"),
         (first.id, VerificationState.CANCELLED, "the daemon w"),
+    ]
+    assert [each.problem_findings[0].code for each in opened(tmp_path).all()] == [
+        Code.BALLS_MISSING,
+        Code.REPORTED,
+        Code.DAEMON_RESTARTED,
     ]
     assert await desk.cancel("0009", "why") is None
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.errors import ProblemCode, RejectReason
+from pipeline.errors import RejectReason
 from pipeline.gradation.specification import Verdict
 from pipeline.segmentation.silhouette import ViewStatus
 from service import screens
@@ -99,7 +99,6 @@ def test_all_measures_of_the_form_have_names_and_all_names_are_of_measures() -> 
         ("operator.reason-", [*RejectReason, *LossReason]),
         ("operator.form-", ["equant", "disc", "rod", "blade"]),
         ("operator.quality-", ["reduced", "degraded"]),
-        ("setup.problem-", list(ProblemCode)),
         ("setup.refused-", [status for status in ViewStatus if status is not ViewStatus.OK]),
         ("setup.calibration-state-", list(CalibrationState)),
         ("setup.verification-state-", list(VerificationState)),
