@@ -1,4 +1,4 @@
-"""A rig with faults, told to Germans: what light gate, cameras and product say, no sentence of it in English."""
+"""A rig with faults, told to Germans: what light gate, cameras and setup say, no sentence of it in English."""
 
 import re
 from pathlib import Path
@@ -24,6 +24,12 @@ def test_a_fault_of_gate_and_camera_is_told_in_german(browser: Browser, tmp_path
         page = watched.page
         page.set_default_timeout(PATIENCE_MS)
         expect.set_options(timeout=PATIENCE_MS)
+        page.goto(f"{origin_of(live.daemon.url(''))}/setup#calibration")
+        begun = live.daemon.post("/calibrations", {"ball_diameters_mm": [10.0]})
+        live.daemon.post(f"/calibrations/{begun['id']}/solve", {})  # without a drop
+        expect(page.locator(".step")).to_contain_text("Zu wenige Fälle")
+        assert [text for text in page.evaluate(OWN_TEXTS) if ENGLISH.search(text)] == []
+        live.daemon.post(f"/calibrations/{begun['id']}/cancel", {})
         live.rig.gate.faults.is_blocked = True
         live.camera(SILENT).unplug()
         page.goto(origin_of(live.daemon.url("")))
