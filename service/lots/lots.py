@@ -133,9 +133,14 @@ class UnknownProductError(ProblemError):
 
 
 def open_lot(
-    connection: sqlite3.Connection, definition: LotDefinition, product: str, version: int | None, who: str
+    connection: sqlite3.Connection,
+    definition: LotDefinition,
+    product: str,
+    version: int | None,
+    who: str,
+    closes: str | None = None,
 ) -> LotDocument:
-    """Open a lot of a product; what falls from now on is in it.
+    """Open a lot of a product, in the place of the open one that it `closes`; what falls from now on is in it.
 
     The same lot opened again while it is open is returned as it is. Raises `LotConflictError` if another lot is open,
     this one was opened before with other words, or is closed or void, or the name of another differs by capital letters
@@ -156,7 +161,9 @@ def open_lot(
             f"lot {alike.lot} differs by capital letters alone: its files would be the same"
         )
     for other in _lots(connection, "state = 'open'", (), 1):
-        raise LotConflictError(f"lot {other.lot} is open: close it first")
+        if other.lot != closes:
+            raise LotConflictError(f"lot {other.lot} is open: close it first")
+        close_lot(connection, other.lot, None, who)
     connection.execute(
         "INSERT INTO lots (lot, product, version, definition, opened_at, state) VALUES (?, ?, ?, ?, ?, 'open')",
         (definition.lot, product, found.version, json.dumps(asdict(definition)), utc_now()),

@@ -142,6 +142,33 @@ async def test_only_one_lot_is_open_and_none_is_opened_twice(client: httpx.Async
 
 
 @pytest.mark.usefixtures("product")
+async def test_a_lot_takes_the_place_of_the_open_one_between_two_stones(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    await client.put("/products/basalt-11-16", json=PRODUCT)
+    await opened(client)
+    await add(store, session, 1, stone(10.0))
+    await add(store, session, 2, stone(11.0))
+    next_lot = {"lot": "L2", "product": "basalt-11-16", "closes": "L1"}
+    for wrong, status, kind in (
+        ({"closes": "L0"}, 409, "lot-conflict"),
+        ({"lot": "L1"}, 409, "lot-conflict"),
+        ({"lot": "L 2"}, 422, "invalid-request"),
+        ({"product": "no-such"}, 404, "unknown-product"),
+    ):
+        assert_problem(await client.post("/lots", json=next_lot | wrong), status, kind)
+        assert (await client.get("/lots/L1")).json()["state"] == "open"
+    answers = [(await client.post("/lots", json=next_lot)).json() for _ in range(2)]
+    assert answers[0] == answers[1]
+    await add(store, session, 3, stone(12.0))
+    lots = (await client.get("/lots")).json()["items"]
+    assert [(each["lot"], each["state"], each["n_stones"]) for each in lots] == [
+        ("L2", "open", 1),
+        ("L1", "closed", 2),
+    ]
+
+
+@pytest.mark.usefixtures("product")
 async def test_stones_outside_of_a_lot_are_assigned_by_time_with_an_audit(
     client: httpx.AsyncClient, store: Store, session: int
 ) -> None:

@@ -52,6 +52,8 @@ class LotRequest(LotDefinition):
     """Material definition."""
     product_version: Annotated[int, Field(ge=1, le=MAX_SEQ, strict=True)] | None = None
     """The newest when absent."""
+    closes: Annotated[str, Field(pattern=ID)] | None = None
+    """The open lot, which is closed first: no stone falls between the two."""
 
 
 class CloseRequest(RequestBody):
@@ -105,10 +107,11 @@ class Assigned(BaseModel):
 async def post_lot(context: Context, wanted: LotRequest, response: Response, asking: Who) -> LotDocument:
     """Open a lot: what falls from now on is in it, whenever it is measured.
 
-    The same request again returns the open lot. 409 `lot-conflict` while another is open, or if this one was.
+    The same request again returns the open lot. 409 `lot-conflict` while another is open that it does
+    not name in `closes`, or if this one was.
     """
     record = await context.write(
-        open_lot, definition_of(wanted), wanted.product, wanted.product_version, asking
+        open_lot, definition_of(wanted), wanted.product, wanted.product_version, asking, wanted.closes
     )
     response.headers["Location"] = f"{BASE}/lots/{wanted.lot}"
     return _served(response, record)
