@@ -140,6 +140,27 @@ def test_a_refusal_is_said_where_it_happened_and_the_form_keeps_its_words(
     assert replay.get("/lots?state=open")["items"] == []
 
 
+def test_a_code_scanned_beside_all_fields_opens_a_lot_of_the_product_before(
+    page: Page, replay: DaemonProcess
+) -> None:
+    for name in ("another", "basalt-8-16"):
+        replay.put(f"/products/{name}", PRODUCT)
+    replay.post("/lots", {"lot": "L-20", "product": "basalt-8-16"})
+    replay.post("/lots/L-20/close", {})
+    shown(page, replay)
+    expect(page.get_by_text("Scan a code")).to_be_visible()
+    page.keyboard.type("L-21")
+    page.keyboard.press("Enter")
+    expect(page.locator("#open-lot strong")).to_have_text("L-21")
+    assert replay.get("/lots/L-21")["product"] == "basalt-8-16"
+    page.get_by_role("button", name="Change product …").click()
+    page.keyboard.type("L-22")
+    page.keyboard.press("Enter")
+    expect(page.locator("#open-lot strong")).to_have_text("L-22")
+    assert replay.get("/lots/L-22")["product"] != "basalt-8-16"
+    replay.post("/lots/L-22/close", {})
+
+
 @pytest.mark.parametrize(("size", "theme"), first_quick(product([*SIZES, "phone"], ("light", "dark"))))
 def test_the_page_is_accessible_at_all_sizes(
     browser: Browser, replay: DaemonProcess, size: str, theme: str

@@ -6,7 +6,7 @@ import { byId, html, setText, show } from "./dom.js";
 import { holdPaint, showOrigin, showProblem, startPage, titled } from "./header.js";
 import { follow } from "./live.js";
 import { showLots } from "./lots/list.js";
-import { showOpenLot } from "./lots/open_lot.js";
+import { showOpenLot, takeScans } from "./lots/open_lot.js";
 import { editProduct, productsTable } from "./lots/products.js";
 import { word } from "./words.js";
 
@@ -23,6 +23,7 @@ form.addEventListener("input", renew);
 form.addEventListener("submit", (event) => event.preventDefault());
 byId("more").addEventListener("click", () => list(shown.at(-1).opened_at).catch(showProblem));
 byId("new-product").addEventListener("click", () => editProduct(null, showProducts));
+takeScans(byId("open-lot"));
 const filled = showProducts().catch(showProblem);
 holdPaint(filled);
 await filled;
@@ -46,12 +47,12 @@ async function list(before = null) {
   asked.set("limit", PAGE);
   if (before !== null) asked.set("before", before);
   const number = ++nAsked;
-  const [page, { items: open }] = await Promise.all([get(`/lots?${asked}`), get("/lots?state=open")]);
+  const [page, { items: open }, { items: newest }] = await Promise.all([`/lots?${asked}`, "/lots?state=open", "/lots?limit=1"].map(get));
   if (number !== nAsked) return; // something else was asked for meanwhile
   shown = before === null ? page.items : [...shown, ...page.items];
   showLots(byId("list"), shown, renew);
   byId("more").hidden = page.next_before === null;
-  showOpenLot(byId("open-lot"), open[0] ?? null, products, renew);
+  showOpenLot(byId("open-lot"), open[0] ?? null, newest[0]?.product, products, renew);
 }
 
 async function showProducts() {

@@ -1,4 +1,4 @@
-/** The open lot, which can be closed, or the form that opens one; its name may be scanned. */
+/** The open lot, which can be closed or give place to one of another product, or the form that opens one; names may be scanned. */
 
 import { post } from "../api.js";
 import { described, html, setText, showNew } from "../dom.js";
@@ -10,15 +10,23 @@ const WAIT_S = 60;
 /** What the plant may say of a lot beside its name, and the attributes of the field. */
 const SAID = ["external_id", "order", "customer", "equipment", "sublot", "sample_id", "sampler", "remark"];
 
-/** Show the open lot in `place`, or the form for another; `onChange` is called after either has changed. */
-export function showOpenLot(place, lot, products, onChange) {
+/** Show the open lot in `place`, or the form for one of `product` at first; `onChange` is called after either has changed. */
+export function showOpenLot(place, lot, product, products, onChange) {
   const choices = products.map(({ product, title }) => [product, title]);
-  showNew(place, { lot: lot?.lot ?? null, choices }, () => (lot === null ? openForm(choices, onChange) : openLot(lot, onChange)));
+  showNew(place, { lot: lot?.lot ?? null, choices }, () => (lot === null ? openForm(choices, product, onChange) : openLot(lot, choices, onChange)));
   const count = place.querySelector(".stones");
   if (count) setText(count, number(lot.n_stones + lot.in_progress));
 }
 
-function openLot(lot, onChange) {
+/** Put what is typed beside all fields, as by a scanner, into the name of the lot to open. */
+export function takeScans(place) {
+  document.addEventListener("keydown", ({ key, ctrlKey, altKey, metaKey }) => {
+    const isTyped = key.length === 1 && key !== " " && !ctrlKey && !altKey && !metaKey;
+    if (isTyped && document.activeElement === document.body) place.querySelector("[name=lot]")?.focus();
+  });
+}
+
+function openLot(lot, choices, onChange) {
   const facts = [
     [word("lots.lot"), html.strong(lot.lot)],
     [word("lots.product"), `${lot.product}, ${word("lots.version", { version: lot.product_version })}`],
@@ -28,7 +36,10 @@ function openLot(lot, onChange) {
   ];
   const closing = () => makeForm("lots.close", ({ tonnage }) => close(lot.lot, tonnage, onChange),
     field("lots.tonnage", { name: "tonnage", type: "number", min: 0, max: 1e6, step: "any", inputmode: "decimal" }, "lots.close-hint"));
-  return [html.dl(described(facts)), html.div({ class: "actions" }, askFirst("lots.close-ask", closing, { class: "main" }))];
+  const other = choices.find(([product]) => product !== lot.product)?.[0];
+  const changing = () => [html.p({ class: "note" }, word("lots.change-hint", { lot: lot.lot })), openForm(choices, other, onChange, lot.lot)];
+  return [html.dl(described(facts)),
+    html.div({ class: "actions" }, askFirst("lots.change-ask", changing), askFirst("lots.close-ask", closing, { class: "main" }))];
 }
 
 /** Close a lot, wait for the last of its stones, and say the verdict with its report. */
@@ -38,21 +49,22 @@ async function close(lot, tonnage, onChange) {
     html.h2(word("lots.closed-title", { lot })),
     html.p({ class: "verdict" }, verdictOf(closed)),
     html.p(word("lots.closed-stones", { n: number(closed.n_stones) })),
-    html.p(reports(closed)),
+    html.p(word("lots.reports"), ": ", reports(closed)),
   );
   await onChange();
 }
 
-function openForm(choices, onChange) {
+/** Return the form that opens a lot of `product` at first, in the place of the open one that it `closes`. */
+function openForm(choices, product, onChange, closes = null) {
   if (choices.length === 0) return html.p({ class: "note" }, word("lots.needs-product"));
   const name = html.input({ name: "lot", required: true, maxlength: 64, autocomplete: "off", autocapitalize: "off", spellcheck: "false" });
-  const form = makeForm("lots.open", async (values) => {
-    await post("/lots", Object.fromEntries(Object.entries(values).filter(([, value]) => value !== "")));
+  const form = makeForm(closes ? "lots.change" : "lots.open", async (values) => {
+    await post("/lots", { ...Object.fromEntries(Object.entries(values).filter(([, value]) => value !== "")), ...(closes && { closes }) });
     await onChange();
   },
     html.label(word("lots.lot"), name, html.small(word("lots.lot-hint"))),
     scanButton(name),
-    html.label(word("lots.product"), html.select({ name: "product" }, choices.map(([value, title]) => html.option({ value }, `${value}: ${title}`)))),
+    html.label(word("lots.product"), html.select({ name: "product" }, choices.map(([value, title]) => html.option({ value, selected: value === product }, `${value}: ${title}`)))),
     html.details(html.summary(word("lots.more-of-lot")), SAID.map((each) => field(`lots.${each}`, { name: each, maxlength: 200, autocomplete: "off" }))),
   );
   return form;

@@ -22,6 +22,7 @@ export function showState({ acquisition, ne107, findings }) {
 /** Show which lot takes what falls. */
 export function showLot({ lot }) {
   setText(byId("lot-name"), lot === null ? word("operator.no-lot") : lot.lot);
+  setText(byId("open-or-close"), word(lot === null ? "operator.open-lot" : "operator.close-lot"));
   byId("largest").hidden = lot === null;
   byId("largest").href = `${ROOT}gallery?${new URLSearchParams({ lot: lot?.lot ?? "", order: "heaviest" })}`;
   setText(
