@@ -59,16 +59,17 @@ def test_a_table_is_read_back_beside_the_instrument_before_it_is_stored(
     page.locator("select[name=lot]").select_option(lot)
     table = page.get_by_label(re.compile("^Table"))
     table.fill(pasted(replay, lot, head="Siebweite mm\tWert\n"))
-    page.get_by_role("button", name="Read it back").click()
+    page.get_by_role("button", name="Read and compare").click()
     expect(page.locator("#entry p.problem")).to_contain_text(
         "Wert"
     )  # retained or passing, g or %: nothing is guessed
 
     table.fill(pasted(replay, lot, head=""))
     page.locator("select[name=head]").select_option("retained-g")
+    page.get_by_text("File, dry mass").click()
     page.get_by_label("Dry mass before sieving").fill("1004")
     page.get_by_label("Sieved by").fill("A. Miller")
-    page.get_by_role("button", name="Read it back").click()
+    page.get_by_role("button", name="Read and compare").click()
     reading = page.locator("#reading")
     expect(reading.locator("tbody tr")).to_have_count(len(SIEVES_MM))
     expect(reading).to_contain_text("Sum of the fractions: 1,000.0 g")
@@ -113,7 +114,7 @@ def test_the_page_is_accessible_at_all_sizes(
         page = watched.page
         page.goto(f"{origin_of(replay.url(''))}/laboratory?lot={lot}")
         page.get_by_label(re.compile("^Tabelle")).fill(pasted(replay, lot))
-        page.get_by_role("button", name="Zurücklesen").click()
+        page.get_by_role("button", name="Lesen und vergleichen").click()
         page.locator("#reading tbody tr").first.wait_for()
         screenshot(page, f"laboratory-{size}-{theme}")
         assert violations(page) == []
@@ -154,7 +155,7 @@ def test_a_workbook_is_dropped_and_read_as_a_table(
     page.evaluate(DROP, ["sieving.xlsx", workbook(lines)])
     expect(page.get_by_label("Sheet of the workbook")).to_be_visible()
     expect(text).to_have_value(re.compile("^Siebweite mm\tRückstand g\n"))
-    page.get_by_role("button", name="Read it back").click()
+    page.get_by_role("button", name="Read and compare").click()
     expect(page.locator("#reading tbody tr")).to_have_count(len(SIEVES_MM))
     expect(page.locator("#reading")).to_contain_text("1,000.0 g")
 

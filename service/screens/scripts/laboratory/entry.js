@@ -17,15 +17,16 @@ const MOST_LOST_PERCENT = 1;
  */
 export function showEntry(place, reading, lots, chosen, onLot) {
   const lot = html.select({ name: "lot" }, lots.map(({ lot, product }) => html.option({ value: lot, selected: lot === chosen }, `${lot} (${product})`)));
-  const text = html.textarea({ name: "table", rows: 10, required: true, maxlength: 20_000, spellcheck: "false", class: "table" });
-  const file = fileField(text);
+  const text = html.textarea({ name: "table", rows: 8, required: true, maxlength: 20_000, spellcheck: "false", class: "table" });
+  const more = html.details(html.summary(word("laboratory.more")), fileField(text),
+    field("laboratory.dry_mass_g", { name: "dry_mass_g", type: "number", min: 0, step: "any", inputmode: "decimal" }),
+    SAID.map((name) => field(`laboratory.${name}`, { name, maxlength: 200, autocomplete: "off" })));
+  text.addEventListener("drop", () => (more.open = true)); // a workbook has sheets to choose from
   const form = makeForm("laboratory.read", read,
     html.label(word("laboratory.lot"), lot),
     html.label(word("laboratory.table"), text, html.small(word("laboratory.table-hint"))),
-    file,
     html.label(word("laboratory.head"), html.select({ name: "head" }, Object.keys(HEADS).map((head) => html.option({ value: head }, word(`laboratory.head-${head}`))))),
-    field("laboratory.dry_mass_g", { name: "dry_mass_g", type: "number", min: 0, step: "any", inputmode: "decimal" }),
-    SAID.map((name) => field(`laboratory.${name}`, { name, maxlength: 200, autocomplete: "off" })),
+    more,
   );
   lot.addEventListener("change", () => {
     show(reading, html.p({ class: "note" }, word("laboratory.nothing-read")));
@@ -48,6 +49,7 @@ export function showEntry(place, reading, lots, chosen, onLot) {
       onLot(values.lot);
     }, { class: "main" });
     show(reading, readBack(found), found.implausible && html.p({ class: "problem" }, found.implausible_findings.map(said).join("; ")), reason, html.div({ class: "actions" }, store));
+    reading.scrollIntoView({ block: "nearest" });
   }
 }
 
