@@ -266,7 +266,7 @@ def in_language(findings: Iterable[CodedFinding], language: Language) -> str:
     """Return findings as one text of a language."""
 
     def text(found: CodedFinding) -> str:
-        subjects = (_subject(each, language) for each in found.subjects)
+        subjects = (subject_words(each, language) for each in found.subjects)
         return ": ".join([*subjects, worded(f"message.{found.code}", language, found.parameters)])
 
     return "; ".join(map(text, findings))
@@ -294,7 +294,8 @@ def _named(name: str, language: Language) -> str:
     return word.replace("#", size.replace(".", ",") if language is Language.GERMAN else size)
 
 
-def _subject(subject: str, language: Language) -> str:
+def subject_words(subject: str, language: Language) -> str:
+    """Return the words of a finding's subject, such as a check; an id as it is."""
     kind, _, name = subject.partition(":")
     word = message_words(language).get(f"subject.{kind}")
     return subject if word is None else f"{word} {name}".strip()

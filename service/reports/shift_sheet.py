@@ -11,6 +11,7 @@ from drivers.files.times import utc_now
 from pipeline.gradation.estimates import Estimate
 from pipeline.gradation.specification import Range, Verdict
 from service.base.language import Language
+from service.base.messages import subject_words
 from service.health.alarms.alarm import Alarm
 from service.health.alarms.rules import load_rules
 from service.lots.lots import LotState
@@ -360,7 +361,7 @@ def alarm_row(alarm: Alarm, clock: Clock, say: Words) -> list[str]:
         clock.time(alarm.raised_at),
         clock.time(alarm.cleared_at or alarm.ended_at),
         say.known("priority", alarm.priority),
-        abridged(f"{alarm.check}: {cause}", LONGEST),
+        abridged(f"{subject_words(alarm.check, say.language)}: {cause}", LONGEST),
         abridged(noted or say("shift.nobody"), LONGEST_ID),
     ]
 

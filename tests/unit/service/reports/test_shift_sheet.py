@@ -63,6 +63,10 @@ def test_a_sheet_says_what_its_mass_is_based_on_and_what_its_lots_are() -> None:
         assert said in text
 
 
+def test_an_alarm_is_of_a_check_with_its_name() -> None:
+    assert "Kamera c01: " in sheet_html(data_of(shift_sheet(), Language.GERMAN)).decode()
+
+
 @given(wanted=st.dictionaries(st.sampled_from("abcde"), st.integers(0, 50)), n_rows=st.integers(0, 60))
 def test_room_is_shared_out_fairly(wanted: dict[str, int], n_rows: int) -> None:
     room = room_of(wanted, n_rows)
