@@ -45,7 +45,7 @@ SMALL_LETTERS = """(least) => [...document.querySelectorAll("svg.sf-curve text, 
 """Texts of drawings below a height on the screen, which is that of the font by the scale of the drawing."""
 ALARM = {
     "check": "optics",
-    "cause": "Kameras sehen schlecht: Staub, Licht oder Schärfe hat die Hälfte der Grenze überschritten.",
+    "cause": "Eine Kamera sieht schlecht: Staub, Licht oder Schärfe hat die Hälfte der Grenze überschritten.",
     "action": "Fenster, Objektiv und Wand der genannten Kameras reinigen; die genannte Leuchte, dann Schärfe prüfen.",
     "priority": "medium",
     "state": "unacknowledged",
