@@ -3,14 +3,14 @@
 Run: .venv/bin/python tests/benchmarks/readers.py [--seconds 30] [--rate 4] [--size-mm 25] [--recording DIR]
      [--phases calm,polls,pages,calm] [--before 1000]
 
-The crowds: 200 long polls that ask again at once; 4 clients in a closed loop, each with a page of 1000 results and five
-previews in turn; as `cheap`, 16 clients in a closed loop with single results and a kept preview; and, as `lots`, one
-client that opens a lot, assigns all stones of before to it, closes it and has it reported, then opens and closes
+The crowds: 200 long polls that ask again at once; 4 clients in a closed loop, each with a page of 1000 results and
+five previews in turn; as `cheap`, 16 clients in a closed loop with single results and a kept preview; and, as `lots`,
+one client that opens a lot, assigns all stones of before to it, closes it and has it reported, then opens and closes
 others and has the first reported again. As `browsers` five tabs of Chromium show the operator's page beside 200 long
-polls; first paint and the newest stones with their picture are among the answers. As `rude` 20 clients read the stream
-of results, 50 ask for a big page and do not read it, and one sends bodies of 100 MB. They run on this machine, with the
-lowest priority (the browser's session too), because a plant's clients are other machines. The store holds `--before` stones before, and all the
-time one client asks for the gradation of a lot of them, twice a second.
+polls; first paint and the newest stones with their picture are among the answers. As `rude` 20 clients read the
+stream of results, 50 ask for a big page and do not read it, and one sends bodies of 100 MB. They run on this machine,
+with the lowest priority (the browser's session too), because a plant's clients are other machines. The store holds
+`--before` stones before, and all the time one client asks for the gradation of a lot of them, twice a second.
 Times are from the exposure to the durable result. Exits with 1 if a stone is lost, or if the 99th percentile beside a
 crowd is more than 1.5 times that of the calm phase before; beside `browsers` also if that of the gradation is.
 """
