@@ -12,7 +12,7 @@ from support.daemon_process import DaemonProcess
 from screens.conftest import DIM
 from screens.test_lots_page import PRODUCT
 
-PATIENCE_MS = 60_000
+PATIENCE_MS = 300_000
 SIEVES_MM = (8, 11.2, 16, 22.4)
 SIEVING = "Sieb\tRückstand g\n22,4\t0\n16\t120,5\n11,2\t850,2\n8\t25,1\nSchale\t4,2"
 

@@ -271,7 +271,7 @@ def test_german_has_commas_umlauts_and_no_english_word() -> None:
     text = page(data).text
     assert "Korngrößenverteilung des Loses 2026-04711" in text
     assert "94,2 92,2 – 96,2" in text
-    assert "Nicht verfeinert andere Körner warteten 71, die Pixel zeigten nichts 13" in text
+    assert "Nicht verfeinert andere Steine warteten 71, die Pixel zeigten nichts 13" in text
     assert not re.search(r"\b(measured|stones|sieve|conforms|undecided|passing)\b", text, re.IGNORECASE)
     assert "Korngrößenverteilung" in pdf_text(data)
 
