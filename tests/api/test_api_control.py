@@ -164,7 +164,8 @@ async def test_a_drift_is_an_event_once_and_an_alarm_until_it_is_gone(
     await watch.look()
     alarms.update(watch.checks())
     (alarm,) = (each for each in alarms.within(AlarmState.UNACKNOWLEDGED) if each.check == "drift")
-    assert "d50_mm" in (alarm.detail or "")
+    assert "D50, mm: " in (alarm.detail or "")
+    assert "d50_mm" in {finding.parameters["figure"] for finding in alarm.findings}
     n_until_gone = 0
     while await days.drifting():
         await days.complete()
