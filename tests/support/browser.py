@@ -126,6 +126,7 @@ def violations(page: Page) -> list[str]:
 def screenshot(page: Page, name: str) -> None:
     """Keep a picture of the page in the folder that STONEFALL_SCREENSHOTS names, if it does."""
     if folder := os.environ.get("STONEFALL_SCREENSHOTS"):
+        page.locator("body").wait_for()  # visible, once the page is painted
         page.screenshot(path=Path(folder) / f"{name}.png", full_page=True)
 
 
