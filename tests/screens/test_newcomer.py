@@ -1,8 +1,9 @@
-"""The six tasks of a shift by somebody who never saw the pages: by roles, labels and visible words alone."""
+"""The six tasks of a shift are found by roles, labels and visible words alone, as a newcomer finds them."""
 
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Literal
 
 import pytest
 from playwright.sync_api import Browser, Page, Route, expect
@@ -18,7 +19,7 @@ SIEVING = "Sieb\tRückstand g\n22,4\t0\n16\t120,5\n11,2\t850,2\n8\t25,1\nSchale\
 
 
 class Newcomer:
-    """Somebody at a page, whose inputs and page loads are counted."""
+    """Drives a page by what it shows, and counts inputs and page loads."""
 
     def __init__(self, page: Page, start: str) -> None:
         self.page = page
@@ -38,10 +39,10 @@ class Newcomer:
         yield
         assert (self.n_inputs, self.n_loads) == (inputs, loads), name
 
-    def press(self, role: str, name: str) -> None:
+    def press(self, role: Literal["button", "link"], name: str) -> None:
         """Press what has a name, of several the first: the newest."""
         self.n_inputs += 1
-        self.page.get_by_role(role, name=name).first.click()  # type: ignore[arg-type] - of the roles
+        self.page.get_by_role(role, name=name).first.click()
 
     def scan(self, code: str) -> None:
         """Type as a keyboard scanner does, wherever the focus is."""

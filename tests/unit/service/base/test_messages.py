@@ -51,7 +51,7 @@ def test_a_fault_of_a_driver_is_a_finding_in_every_language() -> None:
         "light gate /dev/ttyACM0: has sent nothing for 2.5 s: check its cable and its power supply"
     )
     found = (CodedFinding(code=Code.GATE_MUTE, parameters={"silent_s": 2.5}),)
-    assert findings_of(fault) == findings_of(pickle.loads(pickle.dumps(fault))) == found  # noqa: S301 - ours
+    assert findings_of(fault) == findings_of(pickle.loads(pickle.dumps(fault))) == found  # noqa: S301 - pickled here
     status = AcquisitionStatus(state=AcquisitionState.HELD, gate_error=fault, gate_warnings=(fault,))
     assert findings_of(status.gate_error) == findings_of(status.gate_warnings[0]) == found
     assert in_language(found, Language.ENGLISH) == str(fault).partition(": ")[2]
