@@ -1,8 +1,7 @@
 """`stonefall fit-volume`: fit the volume correction to stones that were measured and weighed."""
 
-import csv
-import io
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -11,11 +10,20 @@ import typer
 
 from pipeline.measuring.volume_correction import fit_volume_model
 from service.base.errors import UsageError, VolumeModelError
+from service.base.tables.files import NamedColumn, read_rows
+from service.base.tables.lines import TableError, text_of
+from service.base.tables.numbers import Limits, cell_of, numbers_of
 from service.commands.options import DensityOptions, with_options
 from service.configuration.volume_models import write_volume_model
 from service.results.fields import Outcome
 
 FIELDS = ("volume_raw_mm3", "volume_estimate_mm3")
+COLUMNS = {
+    "bundle": NamedColumn(("bundle", "bündel")),
+    "mass_g": NamedColumn(("mass", "masse", "weight", "gewicht"), usual_unit="g"),
+}
+MOST_OFF = 5.0
+"""Factor by which a mass may differ from that of the measured volume: other units are further off."""
 MAX_VOLUME_MM3 = 1e6
 """Volume of a cube of 100 mm, which is larger than the field of view."""
 
@@ -23,7 +31,7 @@ MAX_VOLUME_MM3 = 1e6
 @with_options
 def command(
     results: Annotated[Path, typer.Argument(help="results.jsonl of `stonefall measure`.")],
-    weighed: Annotated[Path, typer.Argument(help="CSV file with the columns bundle and mass_g.")],
+    weighed: Annotated[Path, typer.Argument(help="Table with the columns bundle and mass_g: CSV or XLSX.")],
     out: Annotated[
         Path, typer.Option(help="File to write, for [measuring] volume_model of the configuration.")
     ],
@@ -38,13 +46,7 @@ def command(
     if density_kg_m3 is None:
         raise UsageError("--density-kg-m3 is missing: what the stones were weighed for")
     measured = _measured(results)
-    masses_g = _masses_g(weighed)
-    unknown = sorted(set(masses_g) - set(measured))
-    if unknown:
-        raise VolumeModelError(
-            f"{weighed}: {results} has no measured bundle {', '.join(unknown[:3])};"
-            " remove these lines, or give the results of the same stones"
-        )
+    masses_g = _masses_g(weighed, results, measured, density_kg_m3)
     hull_mm3 = [measured[bundle][0] for bundle in masses_g]
     estimate_mm3 = [measured[bundle][1] for bundle in masses_g]
     true_mm3 = [1e6 * mass_g / density_kg_m3 for mass_g in masses_g.values()]
@@ -73,7 +75,7 @@ def command(
 def _measured(path: Path) -> dict[str, tuple[float, float]]:
     """Return the volumes of hull and estimate, mm³, of the measured stones by bundle."""
     volumes_mm3: dict[str, tuple[float, float]] = {}
-    for number, line in enumerate(_text(path).splitlines(), start=1):
+    for number, line in enumerate(text_of(path.read_bytes()).splitlines(), start=1):
         where = f"{path}: line {number}"
         try:
             record = json.loads(line)
@@ -90,32 +92,38 @@ def _measured(path: Path) -> dict[str, tuple[float, float]]:
     return volumes_mm3
 
 
-def _masses_g(path: Path) -> dict[str, float]:
-    """Return the masses by bundle, in the order of the file."""
-    masses_g: dict[str, float] = {}
-    rows = csv.DictReader(io.StringIO(_text(path), newline=""))
-    if not {"bundle", "mass_g"} <= set(rows.fieldnames or ()):
-        raise VolumeModelError(f"{path}: the first line must name the columns bundle and mass_g")
-    for row in rows:
-        bundle = row["bundle"] or ""
-        try:
-            mass_g = float(row["mass_g"])
-        except (TypeError, ValueError):
-            mass_g = float("nan")
-        if not 0 < mass_g < 1e6:
-            raise VolumeModelError(
-                f"{path}: line {rows.line_num}: mass_g must be a positive number, not {row['mass_g']!r}"
-            )
-        if bundle in masses_g:
-            raise VolumeModelError(
-                f"{path}: line {rows.line_num}: {bundle} is there twice; keep one line for each bundle"
-            )
-        masses_g[bundle] = mass_g
-    return masses_g
-
-
-def _text(path: Path) -> str:
+def _masses_g(
+    path: Path, results: Path, measured: Mapping[str, tuple[float, float]], density_kg_m3: float
+) -> dict[str, float]:
+    """Return the masses by bundle, in the order of the file; their numbers must fit the measured volumes."""
     try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as err:
-        raise VolumeModelError(f"{path}: is not written in UTF-8; save it as UTF-8") from err
+        columns, rows = read_rows(path, COLUMNS, tuple(COLUMNS))
+        cells = {}
+        for row in rows:
+            bundle = row.at(columns["bundle"].number)
+            if bundle in cells:
+                raise TableError(f"{row.place}: {bundle} is there twice; keep one line for each bundle")
+            if bundle not in measured:
+                raise TableError(
+                    f"{row.place}: {results} has no measured bundle {bundle!r};"
+                    " remove this line, or give the results of the same stones"
+                )
+            about_g = measured[bundle][1] * density_kg_m3 / 1e6
+            limits = Limits(
+                about_g / MOST_OFF,
+                about_g * MOST_OFF,
+                f"is far from the {about_g:.3g} g of the measured volume: look at the unit, the stone, the density",
+            )
+            cell = cell_of(row, columns["mass_g"], limits)
+            if cell is None:
+                raise TableError(f"{row.place}: {bundle} has no mass")
+            cells[bundle] = cell
+        numbers, _ = numbers_of(list(cells.values()))
+        masses_g = {
+            bundle: numbers[cell.line.number][cell.column.number].value for bundle, cell in cells.items()
+        }
+    except TableError as err:
+        raise VolumeModelError(str(err)) from err
+    if light := [bundle for bundle, mass_g in masses_g.items() if mass_g == 0]:
+        raise VolumeModelError(f"{path}: {light[0]} has the mass 0")
+    return masses_g

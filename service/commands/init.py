@@ -1,6 +1,5 @@
 """`stonefall init` and `check-config`: the configuration of a rig, asked for and written; printed, and its faults."""
 
-import csv
 import json
 import sys
 from collections.abc import Iterator, Sequence
@@ -18,6 +17,7 @@ from drivers.gvcp import DiscoveredCamera, discover, local_addresses
 from pipeline.frames import CameraId
 from pipeline.rig.design import nominal_rig
 from service.base.errors import SettingsError, UsageError
+from service.base.tables.files import NamedColumn, read_rows
 from service.commands.cameras import ipv4_address
 from service.commands.options import DensityOptions, with_options
 from service.configuration.rig_checks import rig_warnings
@@ -26,7 +26,12 @@ from service.configuration.settings import Settings, load_settings, problems, sh
 
 TEMPLATE = Path(__file__).with_name("stonefall.toml.jinja")
 GATES = Path("/dev/serial/by-id")
-COLUMNS = ("serial", "address", "user_name")
+COLUMNS = {
+    "id": NamedColumn(("id", "place", "camera", "platz", "kamera")),
+    "serial": NamedColumn(("serial", "serial_number", "serial_no", "seriennummer")),
+    "address": NamedColumn(("address", "ip", "ip_address", "adresse", "ip_adresse")),
+    "user_name": NamedColumn(("user_name", "username", "name")),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +43,7 @@ class InitOptions:
     camera: Annotated[list[str] | None, typer.Option(metavar="PLACE=SERIAL")] = None
     """Serial number of the camera in a place, such as c01=12345; may be repeated."""
     cameras: Path | None = None
-    """CSV file with the columns id and serial, address or user_name, in the place of --camera."""
+    """Table (CSV or XLSX) with the columns id and serial, address or user_name, in the place of --camera."""
     gate: str | None = None
     """Port of a light gate with a serial line."""
     strobe_line: Annotated[str | None, typer.Option(metavar="LINE")] = None
@@ -70,7 +75,9 @@ def command(options: InitOptions, density: DensityOptions) -> None:
     interfaces = tuple(options.interface or (_asked_interfaces() if is_asked else ()))
     rig_file = options.file.resolve().parent / "rig.json"
     rig = read_rig(rig_file) if rig_file.exists() else nominal_rig()
-    named = _from_csv(options.cameras) if options.cameras is not None else _from_options(options.camera or [])
+    named = (
+        _from_table(options.cameras) if options.cameras is not None else _from_options(options.camera or [])
+    )
     if unknown := sorted(named.keys() - set(rig.camera_ids)):
         raise UsageError(f"{', '.join(unknown)}: no place of the rig, which has {', '.join(rig.camera_ids)}")
     if not named:
@@ -176,20 +183,14 @@ def _from_options(given: Sequence[str]) -> dict[str, CameraPlace]:
     return named
 
 
-def _from_csv(path: Path) -> dict[str, CameraPlace]:
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-    except (ValueError, csv.Error) as err:
-        raise UsageError(f"{path}: is no CSV in UTF-8: {err}") from err
+def _from_table(path: Path) -> dict[str, CameraPlace]:
+    columns, rows = read_rows(path, COLUMNS, ("id",))
     named: dict[str, CameraPlace] = {}
-    for number, row in enumerate(rows, 2):
-        serial, address, user_name = ((row.get(name) or "").strip() or None for name in COLUMNS)
-        place = (row.get("id") or "").strip()
-        if not place or place in named or not (serial or address or user_name):
-            raise UsageError(
-                f"{path}: line {number}: needs an id of its own, and a serial, address or user_name"
-            )
+    for row in rows:
+        given = {name: row.at(column.number) or None for name, column in columns.items()}
+        place, serial, address, user_name = (given.get(name) for name in COLUMNS)
+        if place is None or place in named or not (serial or address or user_name):
+            raise UsageError(f"{row.place}: needs an id of its own, and a serial, address or user_name")
         named[place] = CameraPlace(id=CameraId(place), serial=serial, address=address, user_name=user_name)
     return named
 

@@ -1,6 +1,5 @@
 """`stonefall lots sieving`, `sievings` and `correlations`: the laboratory, as a client of the REST interface."""
 
-import codecs
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from service.base.errors import UsageError
+from service.base.tables.files import table_text
 from service.commands.daemon_client import AsJson, DaemonClient
 from service.commands.options import with_options
 
@@ -49,7 +49,7 @@ def sieving(options: SievingOptions, daemon: DaemonClient, as_json: AsJson = Fal
             Console().print(_sievings_table(found["items"]))
     else:
         body = {
-            "table": text_of(options.file),
+            "table": table_text(options.file),
             **{name: getattr(options, name) for name in ("dry_mass_g", "by", "reason", "replaces")},
             "dry_run": options.dry_run,
         }
@@ -66,7 +66,7 @@ def sievings(
     as_json: AsJson = False,
 ) -> None:
     """Store a sieving of each lot of a table, such as the history of months: all of them or none."""
-    body = {"table": text_of(file), "reason": reason, "dry_run": dry_run}
+    body = {"table": table_text(file), "reason": reason, "dry_run": dry_run}
     stored = daemon.ask("/sievings", body, timeout_s=HISTORY_TIMEOUT_S)
     if as_json:
         typer.echo(json.dumps(stored))
@@ -114,17 +114,6 @@ def correlations(options: CorrelationOptions, daemon: DaemonClient, as_json: AsJ
     for each in found.get("items", [found]):
         for obstacle in each["obstacles"]:
             typer.echo(f"version {each['version']} cannot be accepted: {obstacle}")
-
-
-def text_of(path: Path) -> str:
-    """Return the text of a spreadsheet's file: UTF-8, UTF-16 with its mark, or what old Windows programs write."""
-    content = path.read_bytes()
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return content.decode("utf-16")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return content.decode("cp1252", errors="replace")
 
 
 def _show(found: dict[str, Any], lot: str, as_json: bool) -> None:

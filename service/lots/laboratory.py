@@ -12,7 +12,8 @@ from pydantic import TypeAdapter
 
 from drivers.files.times import utc_now
 from pipeline.gradation.curve import retained_to_passing
-from service.base.errors import InvalidRequestError, ProblemError, ProblemKind, TooManyError
+from service.base.errors import ProblemError, ProblemKind, TooManyError
+from service.base.tables.lines import TableError
 from service.store import audit
 from service.store.schema import rows_by_name
 
@@ -24,8 +25,8 @@ MOST_LOST = 0.01
 """Share of the dry mass by which the fractions may miss it (EN 933-1)."""
 
 
-class SievingError(InvalidRequestError):
-    """A laboratory's table cannot be read, or does not add up; names the line or the sieve."""
+class SievingError(TableError):
+    """A sieving does not add up, or has numbers that cannot be; names the sieve."""
 
 
 class UnknownSievingError(ProblemError):

@@ -9,8 +9,9 @@ from pipeline.gradation.sieves import MeasuredRange
 from service.base.errors import ProblemError, ProblemKind
 from service.base.messages import Code, CodedFinding, CodedText, findings_of, joined, message
 from service.base.schema import served
+from service.base.tables.lines import TableError
 from service.lots.evaluation import passing_of
-from service.lots.laboratory import Sieving, SievingError, valid_sievings
+from service.lots.laboratory import Sieving, valid_sievings
 from service.lots.lots import find_lot
 from service.lots.stones import stones_of_lot
 from service.lots.tables.history import MOST_TABLES, RefusedRow, read_history
@@ -106,17 +107,17 @@ def history_of(
 ) -> list[tuple[Sieving, SievingReading]]:
     """Return the sievings of a table with a column of lots, each beside the instrument's curve of its lot.
 
-    Raises `SievingError` if the table cannot be read, or names a lot that there is not; it names the line.
+    Raises `TableError` if the table cannot be read, or names a lot that there is not; it names the line.
     """
     tables = read_tables(table)
     if len(tables) > MOST_TABLES:
-        raise SievingError(f"table: has {len(tables)} lots, more than {MOST_TABLES}: send it in parts")
+        raise TableError(f"table: has {len(tables)} lots, more than {MOST_TABLES}: send it in parts")
     found = []
     for lot, read in tables.items():
         if lot is None:
-            raise SievingError("table: the head must name a column 'Lot', 'Los' or 'Charge'")
+            raise TableError("table: the head must name a column 'Lot', 'Los' or 'Charge'")
         if find_lot(connection, lot) is None:
-            raise SievingError(f"table: line {read.line}: there is no lot {lot[:64]!r}")
+            raise TableError(f"table: line {read.line}: there is no lot {lot[:64]!r}")
         sieving = replace(read.sieving, reason=reason, by=by)
         found.append((sieving, sieving_reading(connection, lot, sieving, read.understood, measured)))
     return found
@@ -128,7 +129,7 @@ def part_of_history(
     """Return the sievings of a table that can be stored, each with its reading, and those that are refused.
 
     Refused are also those of lots that there are not, what contradicts the instrument without a `reason`, and what is
-    stored already. Raises `SievingError` as `read_history` does.
+    stored already. Raises `TableError` as `read_history` does.
     """
     rows = read_history(table)
     found: list[tuple[Sieving, SievingReading]] = []

@@ -40,10 +40,18 @@ async def test_a_workbook_is_read_as_the_table_of_a_sieving(client: httpx.AsyncC
     for wrong in (
         "",
         "not base64!",
-        base64.b64encode(b"Sieb;g").decode(),
+        base64.b64encode(b"\xd0\xcf\x11\xe0").decode(),
         base64.b64encode(b"PK\3\4").decode(),
     ):
         assert_problem(await client.post("/tables", json={"workbook": wrong}), 422, "invalid-request")
+
+
+async def test_a_text_of_a_spreadsheet_is_read_in_its_encoding(client: httpx.AsyncClient) -> None:
+    text = "Sieb µm;Rückstand g\n16000;12,5\n"
+    for encoding in ("utf-8-sig", "utf-16", "cp1252"):
+        sent = {"workbook": base64.b64encode(text.encode(encoding)).decode()}
+        answer = await client.post("/tables", json=sent)
+        assert answer.json() == {"items": [{"sheet": "", "table": text}]}
 
 
 @pytest.mark.usefixtures("lots")

@@ -151,6 +151,9 @@ def test_a_workbook_is_dropped_and_read_as_a_table(
     text.wait_for()
     page.evaluate(DROP, ["damaged.xlsx", base64.b64encode(b"PK no workbook").decode()])
     expect(page.locator("#entry")).to_contain_text("cannot be unpacked")
+    old = base64.b64encode("Sieb µm;Rückstand g\n16000;5".encode("cp1252")).decode()
+    page.evaluate(DROP, ["sieving.csv", old])
+    expect(text).to_have_value("Sieb µm;Rückstand g\n16000;5")
     lines = [line.replace(",", ".").split("\t") for line in pasted(replay, lot).splitlines()]
     page.evaluate(DROP, ["sieving.xlsx", workbook(lines)])
     expect(page.get_by_label("Sheet of the workbook")).to_be_visible()

@@ -11,6 +11,8 @@ from service.base.errors import InvalidRequestError
 from service.base.ids import ID
 from service.base.messages import Code, message
 from service.base.schema import Name, OptionalTime, RequestBody, Time, request_body, served
+from service.base.tables.files import tables_of
+from service.base.tables.workbook import MAX_BYTES
 from service.lots.comparing import ChosenRuns, Conditions, RunsOf, SampleStudy, sample_study
 from service.lots.correlations import (
     CorrelationDocument,
@@ -45,7 +47,6 @@ from service.lots.routes.products import ProductName
 from service.lots.shifts import LotsSettings
 from service.lots.tables.history import RefusedRow
 from service.lots.tables.sievings import read_table
-from service.lots.tables.workbook import MAX_BYTES, sheets_of
 from service.web.auth import CONFIGURABLE, OPERABLE, READABLE, Who
 from service.web.context import Context
 from service.web.feeds import MAX_SEQ
@@ -144,10 +145,10 @@ class HistoryRequest(RequestBody):
 
 @request_body
 class WorkbookRequest:
-    """A workbook of a spreadsheet."""
+    """A file of a spreadsheet."""
 
     workbook: Annotated[Base64Bytes, Field(min_length=1, max_length=MAX_BYTES * 4 // 3 + 4)]
-    """The .xlsx file in Base64, at most 700 kB."""
+    """The file in Base64, at most 700 kB: .xlsx, or text (CSV) of any encoding."""
 
 
 @served
@@ -155,7 +156,7 @@ class SheetTable:
     """A sheet of a workbook as a table."""
 
     sheet: str
-    """Name of the sheet."""
+    """Name of the sheet; empty for the table of a text."""
     table: str
     """Its cells as a spreadsheet copies them, tabs between them: to be sent as `table` of a sieving."""
 
@@ -286,8 +287,8 @@ async def list_correlations(context: Context, product: ProductName) -> Correlati
 
 @router.post("/tables", dependencies=OPERABLE)
 async def read_workbook(context: Context, wanted: WorkbookRequest) -> SheetTables:
-    """Read the sheets of a workbook (.xlsx) as tables; nothing is stored. 422 says why one cannot be read."""
-    found = await context.reading.run(sheets_of, wanted.workbook)
+    """Read a workbook (.xlsx) or a text (CSV) as tables; nothing is stored. 422 says why it cannot be read."""
+    found = await context.reading.run(tables_of, wanted.workbook)
     return SheetTables(items=[SheetTable(sheet=sheet, table=table) for sheet, table in found.items()])
 
 

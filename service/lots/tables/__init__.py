@@ -1,1 +1,1 @@
-"""Tables that laboratories paste: their heads, their numbers, the sievings in them."""
+"""Tables that laboratories paste: the words of their heads, the sievings in them."""

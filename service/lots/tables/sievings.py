@@ -9,10 +9,12 @@ from itertools import pairwise
 
 from pipeline.gradation.curve import retained_to_passing
 from service.base.messages import Code, joined, message
-from service.lots.laboratory import MOST_SIEVES, Sieving, SievingError
-from service.lots.tables.heads import EXAMPLES, LabColumn, Quantity, TableLine, Word, columns_of, lines_of
-from service.lots.tables.numbers import BLANK, MARK_NAMES, TOTAL, Number, cell_of, numbers_of
+from service.base.tables.lines import TableError, TableLine, lines_of
+from service.base.tables.numbers import BLANK, Number, Quantity, numbers_of
+from service.lots.laboratory import MOST_SIEVES, Sieving
+from service.lots.tables.heads import EXAMPLES, TOTAL, LabColumn, Word, cell_of, columns_of
 
+MARK_NAMES = {".": "point", ",": "comma"}
 SOURCES = (
     (Word.RETAINED, Quantity.MASS),
     (Word.CUMULATIVE, Quantity.MASS),
@@ -48,10 +50,10 @@ class ReadTable:
 
 
 def read_table(text: str) -> ReadTable:
-    """Read the table of one sieving; raise `SievingError` as `read_tables` does, or if it has a column of lots."""
+    """Read the table of one sieving; raise `TableError` as `read_tables` does, or if it has a column of lots."""
     tables = read_tables(text)
     if None not in tables:
-        raise SievingError("table: has a column of lots: leave it out, or send the table to POST /sievings")
+        raise TableError("table: has a column of lots: leave it out, or send the table to POST /sievings")
     return tables[None]
 
 
@@ -65,16 +67,16 @@ def read_tables(text: str) -> dict[str | None, ReadTable]:
 
     Raises
     ------
-    SievingError
+    TableError
         The table cannot be read in one way alone, or contradicts itself; names the line, and what to write instead.
     """
     written = lines_of(text)
     if not written:
-        raise SievingError("table: needs sieves: lines of an aperture and what is retained")
+        raise TableError("table: needs sieves: lines of an aperture and what is retained")
     columns, lines = columns_of(written)
     apertures = [column for column in columns if column.kind is Word.APERTURE]
     if len(apertures) != 1:
-        raise SievingError(
+        raise TableError(
             f"table: {len(apertures)} columns of apertures: the head must name one, as 'Sieve mm'"
         )
     names = [_sieve_name(line, apertures[0]) for line in lines]
@@ -93,7 +95,7 @@ def read_tables(text: str) -> dict[str | None, ReadTable]:
         row = _row(line.number, name, apertures[0], numbers.get(line.number, {}))
         rows.setdefault(_lot(line, lot_column), []).append(row)
     if not rows:
-        raise SievingError("table: needs sieves below its head")
+        raise TableError("table: needs sieves below its head")
     return {
         lot: ReadTable(sieving=_sieving(of, columns), understood=understood or "", line=of[0].line)
         for lot, of in rows.items()
@@ -101,10 +103,10 @@ def read_tables(text: str) -> dict[str | None, ReadTable]:
 
 
 def _sieve_name(line: TableLine, column: LabColumn) -> str:
-    """Return the name of a sieve in lower case; raise `SievingError` if there is none."""
-    name = line.cell(column).lower()
+    """Return the name of a sieve in lower case; raise `TableError` if there is none."""
+    name = line.at(column.number).lower()
     if name in BLANK:
-        raise SievingError(f"table: line {line.number}: has no aperture in column {column.number}")
+        raise TableError(f"{line.place}: has no aperture in column {column.number}")
     return name
 
 
@@ -117,20 +119,20 @@ def _row(line: int, name: str, apertures: LabColumn, numbers: Mapping[int, Numbe
 def _lot(line: TableLine, column: LabColumn | None) -> str | None:
     if column is None:
         return None
-    lot = line.cell(column)
+    lot = line.at(column.number)
     if not lot:
-        raise SievingError(f"table: line {line.number}: column {column.number} names no lot")
+        raise TableError(f"{line.place}: column {column.number} names no lot")
     return lot
 
 
 def _sieving(rows: Sequence[SieveRow], columns: Sequence[LabColumn]) -> Sieving:
-    """Return the sieving that rows of one lot hold; raise `SievingError` if they contradict each other."""
+    """Return the sieving that rows of one lot hold; raise `TableError` if they contradict each other."""
     sizes = [row.sieve_mm for row in rows]
     for i, row in enumerate(rows):
         if row.sieve_mm in sizes[:i]:
-            raise SievingError(f"{row.name} is there twice")
+            raise TableError(f"{row.name} is there twice")
         if i - sizes[:i].count(0.0) - sizes[:i].count(None) >= MOST_SIEVES and row.sieve_mm:
-            raise SievingError(f"{row.name}: more than {MOST_SIEVES} sieves")
+            raise TableError(f"{row.name}: more than {MOST_SIEVES} sieves")
     source = _source(columns)
     sieves = sorted((row for row in rows if row.sieve_mm), key=lambda row: -(row.sieve_mm or 0.0))
     pan = next((row for row in rows if row.sieve_mm == 0), None)
@@ -150,19 +152,19 @@ def _source(columns: Sequence[LabColumn]) -> LabColumn:
     for column in columns:
         same = by_meaning.setdefault((column.kind, column.quantity), column)
         if same is not column:
-            raise SievingError(f"table: {same.title} and {column.title} are both there: leave one out")
+            raise TableError(f"table: {same.title} and {column.title} are both there: leave one out")
     for meaning in SOURCES:
         found = by_meaning.get(meaning)
         if found and (found.kind is not Word.CUMULATIVE or Word.RETAINED in found.words):
             return found
-    raise SievingError(f"table: no column tells what is retained or passing: name it in the head: {EXAMPLES}")
+    raise TableError(f"table: no column tells what is retained or passing: name it in the head: {EXAMPLES}")
 
 
 def _taken(source: LabColumn, sieves: Sequence[SieveRow], pan: SieveRow | None) -> Sieving:
     """Return the sieving by the column that it is read from, of sieves from the largest to the smallest."""
     for row in sieves:
         if source.number not in row.numbers:
-            raise SievingError(f"{row.name}: column {source.number} is empty: write 0 where nothing is")
+            raise TableError(f"{row.name}: column {source.number} is empty: write 0 where nothing is")
     values = {row.sieve_mm or 0.0: row.numbers[source.number].value for row in sieves}
     in_pan = None if pan is None or source.number not in pan.numbers else pan.numbers[source.number]
     total = sum(values.values()) + (in_pan.value if in_pan else 0.0)
@@ -175,7 +177,7 @@ def _taken(source: LabColumn, sieves: Sequence[SieveRow], pan: SieveRow | None) 
         if source.kind is Word.PASSING
         else source.kind is Word.RETAINED and is_like_percent
     ):
-        raise SievingError(f"table: column {source.number}: write its unit in the head: g, kg, lb or %")
+        raise TableError(f"table: column {source.number}: write its unit in the head: g, kg, lb or %")
     if source.kind is not Word.RETAINED:
         _require_order(source, sieves)
     last = list(values.values())[-1] if values else 0.0
@@ -188,7 +190,7 @@ def _taken(source: LabColumn, sieves: Sequence[SieveRow], pan: SieveRow | None) 
             return Sieving(retained_g=retained_g, pan_g=in_pan.value - last if in_pan else 0.0)
         case Word.RETAINED, _:
             if abs(total - 100) > rounding + 1e-9:
-                raise SievingError(f"table: column {source.number}: percents add up to {total:g}, not to 100")
+                raise TableError(f"table: column {source.number}: percents add up to {total:g}, not to 100")
             passing = retained_to_passing(values, in_pan.value if in_pan else 0.0)
         case Word.CUMULATIVE, _:
             passing = {sieve_mm: 100 - value for sieve_mm, value in values.items()}
@@ -199,13 +201,13 @@ def _taken(source: LabColumn, sieves: Sequence[SieveRow], pan: SieveRow | None) 
 
 
 def _require_order(source: LabColumn, sieves: Sequence[SieveRow]) -> None:
-    """Raise `SievingError` unless passing falls with falling sieves, or what is retained rises."""
+    """Raise `TableError` unless passing falls with falling sieves, or what is retained rises."""
     sign = 1 if source.kind is Word.PASSING else -1
     for larger, row in pairwise(sieves):
         value, before = row.numbers[source.number].value, larger.numbers[source.number].value
         if sign * value > sign * before:
             word = "falls" if sign > 0 else "rises"
-            raise SievingError(
+            raise TableError(
                 f"{row.name}: {value:g} after {before:g} at {larger.sieve_mm:g} mm,"
                 f" but {source.kind} {word} with falling sieves"
             )
@@ -214,7 +216,7 @@ def _require_order(source: LabColumn, sieves: Sequence[SieveRow]) -> None:
 def _check(
     sieving: Sieving, source: LabColumn, columns: Sequence[LabColumn], rows: Sequence[SieveRow]
 ) -> None:
-    """Raise `SievingError` if a column disagrees with the sieving beyond rounding, of rows from the largest sieve on.
+    """Raise `TableError` if a column disagrees with the sieving beyond rounding, of rows from the largest sieve on.
 
     Each rounded summand of a cumulated number may be off by half of its last digit.
     """
@@ -232,7 +234,7 @@ def _check(
             if number is None or column.kind not in shares or (column is source and row.sieve_mm):
                 continue
             if column.quantity is Quantity.MASS and mass_g is None:
-                raise SievingError(f"table: {column.title}: leave it out: no column has the masses retained")
+                raise TableError(f"table: {column.title}: leave it out: no column has the masses retained")
             size = (mass_g or 0.0) / 100 if column.quantity is Quantity.MASS else 1.0  # of a percent
             expected = shares[column.kind] * size
             steps = 1 if column.kind is Word.RETAINED and row.sieve_mm else i + 1
@@ -240,7 +242,7 @@ def _check(
                 steps = 0  # of passing, the pan has none; of what is retained, all
             rounding = (steps + 1) * (number.half_digit + source_half * size)
             if abs(number.value - expected) > rounding + 1e-6:
-                raise SievingError(
+                raise TableError(
                     f"{row.name}: {column.title} is {number.value / column.unit:g}, but"
                     f" {expected / column.unit:.4g} follows from {source.title}"
                 )

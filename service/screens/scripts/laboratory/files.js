@@ -1,11 +1,9 @@
-/** Files of a laboratory: CSV as it is, a workbook by way of the server; chosen, or dropped onto the table. */
+/** Files of a laboratory, which the server reads: a workbook, or text of any encoding; chosen, or dropped onto the table. */
 
 import { post } from "../api.js";
 import { html, setText, show } from "../dom.js";
 import { explained } from "../forms.js";
 import { language, word } from "../words.js";
-
-const WORKBOOK = /\.xlsx$/i;
 
 /** Return the field of a file whose table is put into `text`, a field that takes dropped files as well. */
 export function fileField(text) {
@@ -33,7 +31,6 @@ export function fileField(text) {
 
 /** Return the tables of a file. */
 async function read(file) {
-  if (!WORKBOOK.test(file.name)) return [{ sheet: file.name, table: await file.text() }];
   const bytes = new Uint8Array(await file.arrayBuffer());
   const letters = Array.from(bytes, (byte) => String.fromCharCode(byte)).join("");
   return (await post("/tables", { workbook: btoa(letters) })).items;

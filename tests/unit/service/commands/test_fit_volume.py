@@ -84,17 +84,27 @@ def test_without_a_file_the_built_in_model_is_used() -> None:
 @pytest.mark.parametrize(
     ("line", "named"),
     [
-        ("000000-particle,heavy", "line 14: mass_g must be a positive number, not 'heavy'"),
-        ("000000-particle,-1", "mass_g must be a positive number"),
-        ("000000-particle", "mass_g must be a positive number"),
+        ("000012-particle,heavy", "weighed.csv: line 14: column 2: 'heavy' is not a number"),
+        ("000012-particle,-1", "line 14: column 2: '-1' is not a number"),
+        ("000012-particle,0", "000012-particle has the mass 0"),
+        ("000012-particle", "line 14: 000012-particle has no mass"),
+        ("000012-particle,1 2 3", "'1 2 3' is not a number"),
+        (
+            "000012-particle,2500",
+            "'2500' is far from the 2.5[0-9]? g of the measured volume: look at the unit",
+        ),
+        ("000012-particle,2.6 mm", "is in mm, but the column in g"),
         ("000000-particle,2.5", "000000-particle is there twice"),
-        ("another,2.5", "has no measured bundle another"),
-        ("lost,2.5", "has no measured bundle lost"),
+        ("another,2.5", "line 14: .*has no measured bundle 'another'"),
+        ("lost,2.5", "has no measured bundle 'lost'"),
         (",2.5", "has no measured bundle"),
     ],
 )
 def test_wrong_lines_of_the_scale_are_named(tmp_path: Path, line: str, named: str) -> None:
     results, weighed = write_stones(tmp_path, 1.0, 0.0)
+    of_2_5_g = {"volume_raw_mm3": 950.0, "volume_estimate_mm3": 930.0}
+    another = json.dumps({"bundle": "000012-particle", "outcome": "measured", **of_2_5_g})
+    results.write_text(f"{results.read_text()}{another}\n")
     weighed.write_text(weighed.read_text() + line + "\n")
     with pytest.raises(VolumeModelError, match=named):
         fit(results, weighed, tmp_path / "out.json")
@@ -123,11 +133,45 @@ def test_wrong_results_are_named(tmp_path: Path, text: str, named: str) -> None:
         fit(results, weighed, tmp_path / "out.json")
 
 
-def test_files_of_another_encoding_are_named(tmp_path: Path) -> None:
-    results, weighed = write_stones(tmp_path, 1.0, 0.0)
-    weighed.write_bytes(weighed.read_text().encode() + "Größe,2.5\n".encode("latin-1"))
-    with pytest.raises(VolumeModelError, match=r"weighed\.csv: is not written in UTF-8"):
+@pytest.mark.parametrize(
+    ("head", "row", "encoding"),
+    [
+        ("bundle;mass_g", "{};{:,}", "utf-8"),  # as a German spreadsheet saves it
+        ("Bundle, Mass_g", "{}, {:.}", "utf-8-sig"),
+        ("sep=,\nbundle,mass_g", "{},{:.}", "utf-8"),
+        ("Masse [kg]\tGröße\tBündel", "{1:kg}\t7\t{0}", "utf-16"),
+        ("Gewicht;Bündel;Bemerkung, lang", '{1:,} g;{0};"naß; und\nlang"', "cp1252"),
+    ],
+)
+def test_any_spreadsheet_s_file_gives_the_same(tmp_path: Path, head: str, row: str, encoding: str) -> None:
+    results, weighed = write_stones(tmp_path, 0.9, 0.03)
+    expected = fit(results, weighed, tmp_path / "out.json")
+
+    class Grams(float):
+        def __format__(self, form: str) -> str:
+            return f"{self / 1000:.6f}" if form == "kg" else f"{float(self):.3f}".replace(".", form)
+
+    lines = [line.split(",") for line in weighed.read_text().splitlines()[1:]]
+    rows = [row.format(bundle, Grams(mass_g)) for bundle, mass_g in lines]
+    mark = next(mark for mark in "\t;," if mark in row)
+    weighed.write_bytes(
+        "\n".join(["", head, *rows, mark, f" {mark}{mark}", ""]).lstrip("\n").encode(encoding)
+    )
+    assert fit(results, weighed, tmp_path / "out.json") == expected
+
+
+def test_masses_in_another_unit_than_the_head_s_are_refused(tmp_path: Path) -> None:
+    results, weighed = write_stones(tmp_path, 0.9, 0.03)
+    head, *lines = weighed.read_text().splitlines()
+    in_kg = [
+        f"{bundle},{float(mass_g) / 1000:.6f}"
+        for bundle, _, mass_g in (line.partition(",") for line in lines)
+    ]
+    weighed.write_text("\n".join([head, *in_kg]))
+    with pytest.raises(VolumeModelError, match=r"line 2: column 2: .* is far from the .* look at the unit"):
         fit(results, weighed, tmp_path / "out.json")
+    weighed.write_text("\n".join(["bundle,mass kg", *in_kg]))
+    assert fit(results, weighed, tmp_path / "out.json")
 
 
 def test_too_few_stones_and_missing_columns_are_refused(tmp_path: Path) -> None:

@@ -120,9 +120,37 @@ def test_cameras_from_a_file(tmp_path: Path) -> None:
     assert (second.serial, second.address) == (None, "10.77.0.12")
     table.write_text("id,serial\nc01,\n")
     wrong = started(tmp_path, "--cameras", str(table), "--force")
-    assert "line 2" in str(wrong.exception)
-    table.write_bytes(b"id,serial\nc01,\xff\n")
-    assert "is no CSV in UTF-8" in str(started(tmp_path, "--cameras", str(table), "--force").exception)
+    assert "line 2: needs an id of its own" in str(wrong.exception)
+    table.write_text("place;number\nc01;7\n")
+    wrong = started(tmp_path, "--cameras", str(table), "--force")
+    assert "cameras.csv: line 1: must name" not in str(wrong.exception)
+    assert "line 2: needs an id of its own, and a serial" in str(wrong.exception)
+    table.write_text("where;number\nc01;7\n")
+    wrong = started(tmp_path, "--cameras", str(table), "--force")
+    assert "cameras.csv: line 1: must name the columns id, not 'where', 'number'" in str(wrong.exception)
+
+
+@pytest.mark.parametrize(
+    ("head", "row", "encoding"),
+    [
+        ("id;serial;note", "{};00{};near, left", "utf-8"),
+        ("id, Serial", "{}, 00{}", "utf-8-sig"),
+        ("Kamera\tSeriennummer\tBemerkung", "{}\t00{}\tSüd", "utf-16"),
+        ('"sep=|"\nPlace|Serial number', "{}|00{}", "utf-8"),
+        ('"ID","User\nname","Serial No."', '"{}",,"00{}"', "cp1252"),
+    ],
+)
+def test_any_spreadsheet_s_file_of_cameras_is_read(
+    tmp_path: Path, head: str, row: str, encoding: str
+) -> None:
+    table = tmp_path / "cameras.csv"
+    rows = [row.format(place, 1234 + number) for number, place in enumerate(PLACES)]
+    table.write_bytes("\r\n".join([head, *rows, "", ""]).encode(encoding))
+    assert started(tmp_path, "--cameras", str(table), "--gate", "/dev/gate").exit_code == 0
+    settings = load_settings(tmp_path / "stonefall.toml")
+    assert isinstance(settings.rig, AravisRigSettings)
+    assert [camera.serial for camera in settings.rig.cameras] == [f"00{1234 + n}" for n in range(len(PLACES))]
+    assert {(camera.user_name, camera.address) for camera in settings.rig.cameras} == {(None, None)}
 
 
 @pytest.mark.parametrize(

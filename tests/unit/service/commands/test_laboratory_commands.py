@@ -10,7 +10,6 @@ from typer.testing import CliRunner, Result
 
 from service.commands.cli import build_app
 from service.commands.daemon_client import DaemonClient
-from service.commands.laboratory import text_of
 from service.lots.routes.laboratory import HistoryRequest, SievingRequest, StudyRequest, WithdrawRequest
 from service.lots.routes.lots import VoidRequest
 
@@ -137,10 +136,3 @@ def test_studies_are_made_accepted_and_withdrawn(run: Run) -> None:
     for words in (["--withdraw", "2"], ["--study", "--accept", "2"]):
         refused, asked = run(STUDY, "correlations", "basalt", *words)
         assert (refused.exit_code != 0, asked) == (True, [])
-
-
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
-def test_files_of_spreadsheets_are_decoded(tmp_path: Path, encoding: str) -> None:
-    file = tmp_path / "sheet.csv"
-    file.write_bytes("Sieb µm;Rückstand g".encode(encoding))
-    assert text_of(file) == "Sieb µm;Rückstand g"

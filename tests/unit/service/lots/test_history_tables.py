@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.lots.laboratory import SievingError
+from service.base.tables.lines import TableError
 from service.lots.tables.history import RefusedRow, read_history
 from service.lots.tables.sievings import ReadTable
 
@@ -62,5 +62,5 @@ def test_a_line_may_be_a_sieve_as_before_and_an_error_names_its_own_line() -> No
     ],
 )
 def test_a_head_that_says_too_little_is_refused_as_a_whole(head: str, why: str) -> None:
-    with pytest.raises(SievingError, match=why):
+    with pytest.raises(TableError, match=why):
         read_history(f"{head}\nL-1;50;10\n" if head else "")

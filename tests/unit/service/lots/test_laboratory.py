@@ -5,7 +5,8 @@ import sqlite3
 import pytest
 
 from pipeline.gradation.sieves import OF_THE_RIG
-from service.lots.laboratory import Sieving, SievingError
+from service.base.tables.lines import TableError
+from service.lots.laboratory import Sieving
 from service.lots.plausibility import history_of
 from service.lots.tables.history import read_history
 
@@ -21,13 +22,13 @@ def test_what_passes_a_sieve_lies_below_it() -> None:
 
 def test_a_history_has_a_bound() -> None:
     rows = "".join(f"\nL{number};8;3" for number in range(201))
-    with pytest.raises(SievingError, match="201 lots, more than 200"):
+    with pytest.raises(TableError, match="201 lots, more than 200"):
         history_of(sqlite3.connect(":memory:"), f"Lot;Sieve mm;g{rows}", None, None, OF_THE_RIG)
-    with pytest.raises(SievingError, match="201 sievings, more than 200"):
+    with pytest.raises(TableError, match="201 sievings, more than 200"):
         read_history(f"Lot;Sieve mm;g{rows}")
-    with pytest.raises(SievingError, match="9000 sievings, more than 200"):  # before the first is read
+    with pytest.raises(TableError, match="9000 sievings, more than 200"):  # before the first is read
         read_history("Lot;Passing % 8 mm" + "\na;5" * 9_000)
-    with pytest.raises(SievingError, match="more than 10000 lines"):
+    with pytest.raises(TableError, match="more than 10000 lines"):
         read_history("\n" * 20_000 + "Lot;Passing % 8 mm\na;5")
 
 
@@ -44,5 +45,5 @@ def test_a_history_has_a_bound() -> None:
     ],
 )
 def test_a_sieving_that_says_nothing_or_two_things_is_refused(given: dict[str, object], named: str) -> None:
-    with pytest.raises(SievingError, match=named):
+    with pytest.raises(TableError, match=named):
         Sieving(**given)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.lots.laboratory import SievingError
+from service.base.tables.lines import TableError
 from service.lots.tables.sievings import read_table, read_tables
 
 GRAMS = {16.0: 250.0, 8.0: 740.0}
@@ -149,7 +149,7 @@ def test_units_and_marks_are_those_that_the_table_shows(text: str, grams: Mappin
     ],
 )
 def test_what_is_not_clear_is_refused_by_its_line(text: str, named: str) -> None:
-    with pytest.raises(SievingError, match=named):
+    with pytest.raises(TableError, match=named):
         read_table(text)
 
 
@@ -164,7 +164,7 @@ def test_a_column_of_lots_makes_a_sieving_each() -> None:
         "L1": (2, {16.0: 250.0, 8.0: 740.0}),
         "L2": (3, {16.0: 20.5, 8.0: 3.0}),
     }
-    with pytest.raises(SievingError, match=r"line 3.*no lot"):
+    with pytest.raises(TableError, match=r"line 3.*no lot"):
         read_tables("Los;Sieb mm;g\nL1;16;250\n;8;3")
 
 
@@ -239,7 +239,7 @@ def test_a_table_is_read_back_the_same_or_refused(
         lines.append(separator.join([first, *(cells[each] for each in chosen)]))
     try:
         sieving = read_table("\n".join(lines)).sieving
-    except SievingError:
+    except TableError:
         return
     cumulated, expected = 0.0, {}
     for aperture, retained in sieves:
@@ -289,7 +289,7 @@ CELLS = (
 def test_any_table_is_read_or_refused(lines: list[list[str]], separator: str) -> None:
     try:
         tables = read_tables("\n".join(separator.join(cells) for cells in lines))
-    except SievingError:
+    except TableError:
         return
     for read in tables.values():
         passing = read.sieving.passing_percent

@@ -12,9 +12,8 @@ import xlsxwriter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.lots.laboratory import SievingError
-from service.lots.tables.sievings import read_table
-from service.lots.tables.workbook import (
+from service.base.tables.lines import TableError, lines_of
+from service.base.tables.workbook import (
     MAX_BYTES,
     MAX_CELL,
     MAX_MARKS,
@@ -23,6 +22,7 @@ from service.lots.tables.workbook import (
     WorkbookError,
     sheets_of,
 )
+from service.lots.tables.sievings import read_table
 
 
 def workbook(**sheets: list[list[Any]]) -> bytes:
@@ -139,5 +139,23 @@ def test_a_text_that_many_cells_share_is_no_bomb() -> None:
 @given(st.binary(max_size=300), st.integers(0, 3000))
 def test_a_damaged_workbook_is_an_error_of_its_own(garbage: bytes, at: int) -> None:
     good = workbook(Sheet=[["Sieve mm", "Retained g"], [8, 1]])
-    with suppress(SievingError):
+    with suppress(TableError):
         sheets_of(good[:at] + garbage + good[at + len(garbage) :])
+
+
+def test_cells_without_a_place_follow_each_other() -> None:
+    """Some exporters leave `r` out, which is optional: box/spout #267, tidyverse/readxl #102."""
+    sheet = (
+        b"<worksheet><sheetData><row><c t='inlineStr'><is><t>Sieve mm</t></is></c>"
+        b"<c t='inlineStr'><is><t>g</t></is></c></row><row/>"
+        b"<row r=''><c><v>8</v></c><c><v>1.5</v></c></row><row r='7'><c r='B7'><v>3</v></c><c><v>4</v></c></row>"
+        b"</sheetData></worksheet>"
+    )
+    (table,) = sheets_of(changed(workbook(Sheet=[["x"]]), "xl/worksheets/sheet1.xml", sheet)).values()
+    assert table == "Sieve mm\tg\n\n8\t1.5\n\n\n\n\t3\t4\n"
+
+
+def test_a_quotation_mark_of_a_cell_stays_in_it() -> None:
+    rows = [["Sieve mm", "g"], [8, 1.5], ['"Pan', 2]]
+    (table,) = sheets_of(workbook(Sheet=rows)).values()
+    assert [line.cells for line in lines_of(table)][2] == ['"Pan', "2"]

@@ -13,7 +13,7 @@ from math import isfinite
 from typing import Any
 from xml.etree import ElementTree
 
-from service.lots.laboratory import SievingError
+from service.base.tables.lines import TableError, tabbed
 
 MAX_BYTES = 700_000
 """Size of a file at most: in base64 it fits into the body of a request."""
@@ -41,7 +41,7 @@ EPOCH_1904 = datetime(1904, 1, 1)
 DAYS = range(61, 2_958_466)
 
 
-class WorkbookError(SievingError):
+class WorkbookError(TableError):
     """The file is no workbook that can be read, or is too large; says what to do instead."""
 
 
@@ -63,7 +63,7 @@ def sheets_of(content: bytes) -> dict[str, str]:
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, zlib.error, OSError) as err:
         raise WorkbookError(f"workbook: cannot be unpacked: {err}") from err
     except (ElementTree.ParseError, LookupError, ValueError, OverflowError) as err:
-        if isinstance(err, SievingError):
+        if isinstance(err, TableError):
             raise
         raise WorkbookError(f"workbook: is damaged: {err}") from err
 
@@ -108,7 +108,7 @@ def _sheets(file: zipfile.ZipFile) -> Iterator[tuple[str, str]]:
         path = target if target.startswith("/") else f"xl/{target}"
         rows = _rows(parts.read(path), texts, formats, EPOCH_1904 if is_1904 else EPOCH)
         if rows:
-            yield sheet.attrib["name"], "\n".join("\t".join(row) for row in rows) + "\n"
+            yield sheet.attrib["name"], tabbed(rows)
 
 
 def _texts(part: ElementTree.Element) -> list[str]:
@@ -140,28 +140,37 @@ def _rows(
     """Return the cells of a sheet by line, with empty lines where it has some between others."""
     rows: dict[int, dict[int, str]] = {}
     n_characters = 0
-    for cell in part.iterfind("sheetData/row/c"):
-        place = NAME.fullmatch(cell.attrib["r"])
-        if place is None:
-            raise WorkbookError(f"workbook: {cell.attrib['r'][:20]!r} is no cell")
-        column, row = _column(place[1]), int(place[2])
+    for row, column, cell in _cells(part):
         text = _text(cell, texts, formats, epoch)
         if not text:
             continue
+        place = f"workbook: line {row}: column {column}"
         if row > MAX_ROWS or column > MAX_COLUMNS:
             raise WorkbookError(
-                f"workbook: {place[0]}: beyond {MAX_ROWS} lines or {MAX_COLUMNS} columns: copy the table alone"
+                f"{place}: beyond {MAX_ROWS} lines or {MAX_COLUMNS} columns: copy the table alone"
             )
         n_characters += len(text)
         if n_characters > MAX_TABLE:
-            raise WorkbookError(
-                f"workbook: {place[0]}: more than {MAX_TABLE} characters: copy the table alone"
-            )
+            raise WorkbookError(f"{place}: more than {MAX_TABLE} characters: copy the table alone")
         rows.setdefault(row, {})[column] = text
     return [
         [rows.get(row, {}).get(column, "") for column in range(1, max(rows.get(row, {0: ""})) + 1)]
         for row in range(1, max(rows, default=0) + 1)
     ]
+
+
+def _cells(part: ElementTree.Element) -> Iterator[tuple[int, int, ElementTree.Element]]:
+    """Yield row, column and element of each cell; where it has no `r`, it follows the one before (18.3.1.4)."""
+    row = 0
+    for line in part.iterfind("sheetData/row"):
+        row, column = int(line.get("r") or row + 1), 0
+        for cell in line.iterfind("c"):
+            name = cell.get("r")
+            place = NAME.fullmatch(name) if name else None
+            if name and place is None:
+                raise WorkbookError(f"workbook: {name[:20]!r} is no cell")
+            row, column = (int(place[2]), _column(place[1])) if place else (row, column + 1)
+            yield row, column, cell
 
 
 def _column(letters: str) -> int:
