@@ -1,12 +1,15 @@
 """Read meshes with the parsers of trimesh, which check little: damage shows as any error, or not at all."""
 
 import logging
+import re
 import struct
-from io import SEEK_END
+from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.errors import RecordingError
+from drivers.files.ply_parsing import ply_header, read_binary_ply
 
 if TYPE_CHECKING:
     import trimesh
@@ -25,6 +28,7 @@ MESH_DAMAGE = (
     struct.error,
 )
 """Errors of trimesh's parsers on damaged files, beside `HeaderError` of STL."""
+STL_HEADER_BYTES, STL_TRIANGLE_BYTES = 84, 50
 
 
 def parse_mesh(path: Path) -> "trimesh.Trimesh":
@@ -33,23 +37,71 @@ def parse_mesh(path: Path) -> "trimesh.Trimesh":
     Raises
     ------
     RecordingError
-        The file cannot be read, or is no such mesh.
+        The file cannot be read, is no such mesh, or a cloud of points.
     """
     import trimesh  # here: with its dependencies it takes a tenth of the daemon's start
 
     file_type = path.suffix[1:].lower()
-    damaged = RecordingError(path, f"is damaged, or not {file_type.upper()}")
     try:
-        with path.open("rb") as file:
-            mesh = trimesh.load_mesh(file, file_type=file_type, process=False)
-            is_empty = file.seek(0, SEEK_END) == 0
-        faces = mesh.faces
-        has_all_vertices = faces.size == 0 or 0 <= faces.min() <= faces.max() < len(mesh.vertices)
+        content = path.read_bytes()
     except OSError as err:
         raise RecordingError(path, f"cannot be read: {err.strerror}") from err
-    except (*MESH_DAMAGE, trimesh.exchange.stl.HeaderError) as err:
-        raise damaged from err
-    # noise is decoded to nothing where a detector of encodings is installed
-    if not has_all_vertices or (faces.size == 0 and not is_empty):
-        raise damaged
-    return mesh
+    readers: list[Callable[[], trimesh.Trimesh]] = [
+        lambda: trimesh.load_mesh(BytesIO(_tidied(content, file_type)), file_type, process=False)
+    ]
+    if file_type == "ply":
+        readers.append(lambda: trimesh.Trimesh(*read_binary_ply(content), process=False))
+    for read in readers:
+        try:
+            mesh = read()
+            faces = mesh.faces
+            has_all_vertices = faces.size == 0 or 0 <= faces.min() <= faces.max() < len(mesh.vertices)
+        except (*MESH_DAMAGE, trimesh.exchange.stl.HeaderError) as err:
+            cause: Exception | None = err
+            continue
+        # noise is decoded to nothing where a detector of encodings is installed
+        if has_all_vertices and (faces.size or not content):
+            return mesh
+        cause = None
+    raise RecordingError(path, _problem(content, file_type)) from cause
+
+
+def _tidied(content: bytes, file_type: str) -> bytes:
+    """Return a file without what hinders trimesh: names in other encodings, and bytes behind the last triangle."""
+    if file_type == "ply":
+        end = content.find(b"end_header")
+        return content if content[:end].isascii() else _ascii(content[:end]) + content[end:]
+    if file_type == "stl" and not re.match(rb"\s*solid\b[^\0]*?\bvertex\b", content, re.IGNORECASE):
+        end = STL_HEADER_BYTES + STL_TRIANGLE_BYTES * _n_announced(content)
+        return content[:end] if end > STL_HEADER_BYTES else content
+    return content if content.isascii() else _ascii(content)
+
+
+def _ascii(text: bytes) -> bytes:
+    return text.decode("latin-1").encode("ascii", "replace")
+
+
+def _n_announced(content: bytes) -> int:
+    """Return the number of triangles that the header of a binary STL announces."""
+    header = content[:STL_HEADER_BYTES]
+    return struct.unpack("<I", header[-4:])[0] if len(header) == STL_HEADER_BYTES else 0
+
+
+def _problem(content: bytes, file_type: str) -> str:
+    """Return the problem of a file that cannot be read as a mesh."""
+    n_points = 0
+    if file_type == "obj" and not re.search(rb"^\s*f\s", content, re.MULTILINE):
+        n_points = len(re.findall(rb"^\s*v\s", content, re.MULTILINE))
+    elif file_type == "ply":
+        try:
+            rows = {element.name: element.n_rows for element in ply_header(content)[1]}
+        except (ValueError, LookupError):
+            rows = {}
+        n_points = 0 if rows.get("face") or rows.get("tristrips") else rows.get("vertex", 0)
+    if n_points:
+        return f"has {n_points} points and no faces: a cloud of points, not a mesh"
+    damage = f"is damaged, or not {file_type.upper()}"
+    if file_type == "stl" and b"facet" not in content and len(content) >= STL_HEADER_BYTES:
+        n_there = (len(content) - STL_HEADER_BYTES) // STL_TRIANGLE_BYTES
+        return f"{damage}: announces {_n_announced(content)} triangles, and has {n_there}"
+    return damage

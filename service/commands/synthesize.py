@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+import trimesh
 import typer
 from rich.console import Console
 from rich.progress import track
@@ -27,7 +28,7 @@ from pipeline.synthesis.stones import STONE_FORMS, random_size_mm, stone
 from pipeline.synthesis.truth import truth_of, truth_to_document
 from service.base.errors import UsageError
 from service.commands.options import Json, changed, with_options
-from service.commands.shape import read_mesh
+from service.commands.shape import read_bodies, scale_doubt
 
 STANDARDS: dict[str, Callable[[], Body]] = {each.__name__: each for each in (ball, sphere, cylinder, cube)}
 STONES = "stones"
@@ -239,7 +240,7 @@ def looks_of(surfaces: str, gloss: float, interreflection: bool) -> Looks:
 def body_from_file(name: str, known: Iterable[str], max_radius_mm: float, limit: str = "") -> Body:
     """Read a body from a mesh file; `known` are the other bodies, and `limit` says why none is larger.
 
-    Raises `typer.BadParameter` if there is no such file, `UsageError` if it is no closed mesh, or too large.
+    Raises `typer.BadParameter` if there is no such file, `UsageError` if it is not one closed mesh, or too large.
     """
     path = Path(name)
     if not path.is_file():
@@ -247,9 +248,16 @@ def body_from_file(name: str, known: Iterable[str], max_radius_mm: float, limit:
             f"{name!r} is neither a mesh file nor one of {', '.join(known)}", param_hint="--bodies"
         )
     try:
-        body = body_from_mesh(path.stem, read_mesh(path))
+        vertices_mm, bodies = read_bodies(path)
+        if len(bodies) > 1:
+            raise UsageError(f"has {len(bodies)} bodies: the truth is one; leave the largest alone in it")
+        body = body_from_mesh(path.stem, trimesh.Trimesh(vertices_mm, bodies[0], process=False))
     except (UsageError, MeshError) as err:
         raise UsageError(f"{path}: {err}") from err
+    doubt = scale_doubt(measure_shape(body.mesh.vertices, body.mesh.faces).length_mm)
     if body.radius_mm > max_radius_mm:
-        raise UsageError(f"{path}: reaches {body.radius_mm:.0f} mm from its centre{limit}; is it in mm?")
+        reach = f"reaches {body.radius_mm:.0f} mm from its centre{limit}"
+        raise UsageError(f"{path}: {reach}; {doubt or 'is it in mm?'}")
+    if doubt is not None:
+        typer.echo(f"stonefall: {path}: warning: {doubt}", err=True)
     return body

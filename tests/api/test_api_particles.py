@@ -278,7 +278,8 @@ async def test_a_damaged_mesh_is_not_kept(
     for name in ("mesh.stl", "mesh.glb", "preview.png"):
         answer = await client.get(f"/particles/{particle_id}/{name}")
         assert (answer.status_code, answer.json()["type"]) == (404, "urn:stonefall:problem:not-kept")
-        assert "mesh.ply is damaged" in answer.json()["detail"]
+        problem = "has 8 points and no faces" if damage == "no faces" else "is damaged"
+        assert f"mesh.ply {problem}" in answer.json()["detail"]
     assert "Traceback" not in caplog.text
 
 

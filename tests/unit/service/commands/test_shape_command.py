@@ -123,5 +123,42 @@ def test_normals_that_cannot_be_read_do_not_matter(tmp_path: Path, caplog: pytes
     assert not caplog.records  # trimesh would show a traceback
 
 
+def test_of_several_bodies_the_largest_is_measured_and_the_others_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "scan.stl"
+    crumb = trimesh.creation.icosphere(subdivisions=3, radius=0.25)
+    crumb.apply_translation([60, 0, 0])
+    patch = trimesh.Trimesh(crumb.vertices + 5, crumb.faces[:100], process=False)  # open, as scans have them
+    trimesh.util.concatenate([crumb, BOX, patch]).export(path)
+    result = shape(path, "--json")
+    assert result.exit_code == 0
+    (measured,) = json.loads(result.stdout)
+    assert (measured["volume_mm3"], measured["convexity"]) == (pytest.approx(4000), pytest.approx(1))
+    assert result.stderr == f"stonefall: {path}: warning: of 3 bodies only the largest is measured\n"
+
+
+@pytest.mark.parametrize(
+    ("factor", "told"),
+    [
+        (
+            0.001,
+            "is 0.045 mm long, is it in mm?; if in metres, scale it by 1000 to 45 mm; if in inches, scale it by",
+        ),
+        (1 / 25.4, None),
+        (
+            0.02,
+            "is 0.9 mm long, is it in mm?; if in inches, scale it by 25.4 to 22.9 mm; if in centimetres, scale",
+        ),
+        (1000, "is 45000 mm long, is it in mm?; if in micrometres, scale it by 0.001 to 45 mm"),
+        (5, "is 225 mm long, is it in mm?\n"),
+    ],
+)
+def test_a_length_that_no_stone_has_is_doubted(tmp_path: Path, factor: float, told: str | None) -> None:
+    path = tmp_path / "scan.ply"
+    trimesh.Trimesh(BOX.vertices * factor, BOX.faces, process=False).export(path)
+    result = shape(path, "--json")
+    assert result.exit_code == 0
+    assert (told or "") in result.stderr and bool(result.stderr) == (told is not None)
+
+
 def test_usage() -> None:
     assert shape().exit_code == 2

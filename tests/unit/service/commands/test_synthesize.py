@@ -161,14 +161,28 @@ def test_a_mesh_file_can_fall(tmp_path: Path, rig_path: Path) -> None:
     assert truth["min_box_mm"] == pytest.approx([12, 10, 8], rel=1e-3)
 
 
+def test_a_body_that_is_hardly_in_mm_is_doubted(
+    tmp_path: Path, rig_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    metres = tmp_path / "metres.ply"
+    trimesh.creation.box(extents=[0.008, 0.01, 0.012]).export(metres)
+    command(tmp_path / "recording", bodies=str(metres), count=0, rig=rig_path, backgrounds=1)
+    assert "metres.ply: warning: is 0.0175 mm long, is it in mm?; if in metres" in capsys.readouterr().err
+
+
 def test_what_cannot_fall_is_refused_by_name(tmp_path: Path, rig_path: Path) -> None:
     out = tmp_path / "recording"
     with pytest.raises(typer.BadParameter, match="'pebble' is neither a mesh file nor one of ball"):
         command(out, bodies="pebble", rig=rig_path)
     meters = tmp_path / "huge.ply"
     trimesh.creation.box(extents=[800, 10, 12]).export(meters)
-    with pytest.raises(UsageError, match=r"huge\.ply: reaches 400 mm"):
+    with pytest.raises(UsageError, match=r"huge\.ply: reaches 400 mm .*; is 800 mm long, is it in mm\?"):
         command(out, bodies=str(meters), rig=rig_path)
+    debris = tmp_path / "debris.stl"
+    crumb = trimesh.creation.box(bounds=[[30, 0, 0], [30.5, 0.5, 0.5]])
+    trimesh.util.concatenate([trimesh.creation.box([8, 8, 8]), crumb]).export(debris)
+    with pytest.raises(UsageError, match=r"debris\.stl: has 2 bodies: the truth is one"):
+        command(out, bodies=str(debris), rig=rig_path)
     opened = trimesh.creation.box()
     opened.update_faces(np.arange(11))
     opened.export(tmp_path / "open.ply")
