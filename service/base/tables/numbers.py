@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 from service.base.tables.lines import TableError, TableLine
 
-NUMBER = re.compile(r"([0-9.,'’\s]*+)([^0-9.,'’\s][^0-9]*+)?")
+NUMBER = re.compile(r"([0-9.,'’\s]*+)(?:e([+-]?[0-9]{1,2}))?\s*([^0-9.,'’\s][^0-9]*+)?", re.IGNORECASE)
+"""Digits with their marks, a power of ten, a unit."""
 TOKEN = re.compile(r"[^\W\d_]+|[^\s()\[\]{}.,:;/*_–—-]")
 """Word or sign of a head."""
 BLANK = frozenset({"", "-", "–", "—"})
@@ -80,6 +81,7 @@ class Cell:
     column: TableColumn
     text: str
     digits: str
+    power: int | None  # of ten, behind an E
     unit: float  # in mm, g or %
     limits: Limits
 
@@ -91,10 +93,12 @@ class Cell:
         """Return the number with this decimal mark; None if it is not written so."""
         written = WRITTEN[mark].fullmatch(self.digits)
         plain = re.sub(MARKS[mark], "", self.digits).replace(mark, ".")
-        if written is None or plain in ("", "."):
+        is_grouped_power = written is not None and written[1] is not None and self.power is not None
+        if written is None or is_grouped_power or plain in ("", "."):
             return None
-        value = float(Decimal(plain) * Decimal(str(self.unit)))  # 5600 µm are 5.6 mm to the last bit
-        return Number(value, 0.5 * self.unit * 10.0 ** -len(written[2] or ""))
+        power = self.power or 0
+        value = Decimal(plain).scaleb(power) * Decimal(str(self.unit))  # 5600 µm are 5.6 mm to the last bit
+        return Number(float(value), 0.5 * self.unit * 10.0 ** (power - len(written[2] or "")))
 
     def numbers(self, marks: Sequence[str]) -> list[Number]:
         """Return the numbers that it may be: each possible value once."""
@@ -112,10 +116,12 @@ def head_and_rows(lines: Sequence[TableLine]) -> tuple[TableLine, Sequence[Table
     return head, below
 
 
-def written(cell: str) -> tuple[str, str]:
-    """Return the digits with their marks, and the unit behind them in lower case; both empty if it is no number."""
+def written(cell: str) -> tuple[str, int | None, str]:
+    """Return the digits with their marks, the power of ten, and the unit in lower case; empty if it is no number."""
     found = NUMBER.fullmatch(cell)
-    return (found[1].strip(), (found[2] or "").strip().lower()) if found else ("", "")
+    if found is None:
+        return "", None, ""
+    return found[1].strip(), None if found[2] is None else int(found[2]), (found[3] or "").strip().lower()
 
 
 def cell_of(line: TableLine, column: TableColumn, limits: Limits = ANY) -> Cell | None:
@@ -123,9 +129,9 @@ def cell_of(line: TableLine, column: TableColumn, limits: Limits = ANY) -> Cell 
     text = line.at(column.number)
     if text in BLANK:
         return None
-    digits, unit = written(text)
+    digits, power, unit = written(text)
     quantity, size = UNITS.get(unit, (column.quantity, column.unit))
-    cell = Cell(line=line, column=column, text=text, digits=digits, unit=size, limits=limits)
+    cell = Cell(line=line, column=column, text=text, digits=digits, power=power, unit=size, limits=limits)
     if not digits or (unit and unit not in UNITS):
         raise TableError(f"{cell.place} is not a number")
     if quantity is not column.quantity:

@@ -30,7 +30,10 @@ MAX_CELL = 1000
 MAX_TABLE = 500_000
 """Characters of a sheet; a table of sievings may have no more."""
 NAME = re.compile(r"([A-Z]{1,3})([0-9]{1,7})")
-RELATION = "{http://schemas.openxmlformats.org/officeDocument/2006/relationships}id"
+RELATIONS = (
+    "{http://schemas.openxmlformats.org/officeDocument/2006/relationships}id",
+    "{http://purl.oclc.org/ooxml/officeDocument/relationships}id",  # of a strict workbook, ISO/IEC 29500
+)
 PERCENT_FORMATS = frozenset({9, 10})
 DATE_FORMATS = frozenset({*range(14, 18), 22})
 """Formats that every workbook has, ECMA-376 18.8.30."""
@@ -104,7 +107,7 @@ def _sheets(file: zipfile.ZipFile) -> Iterator[tuple[str, str]]:
     if len(sheets) > MAX_SHEETS:
         raise WorkbookError(f"workbook: has more than {MAX_SHEETS} sheets")
     for sheet in sheets:
-        target = targets[sheet.attrib[RELATION]]
+        target = targets[next(filter(None, map(sheet.get, RELATIONS)), "")]
         path = target if target.startswith("/") else f"xl/{target}"
         rows = _rows(parts.read(path), texts, formats, EPOCH_1904 if is_1904 else EPOCH)
         if rows:
@@ -190,7 +193,7 @@ def _text(cell: Any, texts: Sequence[str], formats: Sequence[str], epoch: dateti
     elif kind == "s":
         return texts[int(value)]
     elif kind in ("str", "b", "d"):
-        found = value
+        found = value.removesuffix("T00:00:00") if kind == "d" else value
     else:
         style = int(cell.get("s", "0"))
         found = _number(float(value), formats[style] if style < len(formats) else "", epoch)

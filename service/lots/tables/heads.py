@@ -167,7 +167,7 @@ def _with_unit(column: LabColumn, lines: Sequence[TableLine]) -> LabColumn:
     """Return a column with its quantity: where the head has no unit, the one of its cells, or the one that is usual."""
     if column.quantity is not None or column.kind is Word.LOT:
         return column
-    units = {UNITS[unit] for line in lines if (unit := written(line.at(column.number))[1]) in UNITS}
+    units = {UNITS[unit] for line in lines if (unit := written(line.at(column.number))[2]) in UNITS}
     quantities = {quantity for quantity, _ in units}
     usual = {Word.APERTURE: Quantity.LENGTH, Word.PASSING: Quantity.PERCENT}.get(column.kind, Quantity.MASS)
     is_usual = column.kind in (Word.APERTURE, Word.PASSING) or Word.MASS in column.words

@@ -31,6 +31,9 @@ def masses_g(path: Path) -> dict[str, float]:
         "stone;mass_g\n7;1234,5\n8;2",
         "Mass (kg),note,Stone\n1.2345,wet,7\n0.002,,8",
         "Stein-Nr.\tMasse in g\n7\t1.234,5\n8\t2",
+        "stone;mass\n7;1,2345E+03\n8;2E0",  # binjr #137
+        "stone;mass kg\n7;1.2345e+00\n8;2.000e-03",
+        "stone\tmass\n7\t1.2345E+3 g\n8\t0,2e-2 kg",
         ";Stone;Mass\n;;[g]\n;7;1 234,5\n;;\n;8;0,002 kg",
     ],
 )

@@ -159,3 +159,24 @@ def test_a_quotation_mark_of_a_cell_stays_in_it() -> None:
     rows = [["Sieve mm", "g"], [8, 1.5], ['"Pan', 2]]
     (table,) = sheets_of(workbook(Sheet=rows)).values()
     assert [line.cells for line in lines_of(table)][2] == ['"Pan', "2"]
+
+
+def test_a_strict_workbook_is_read() -> None:
+    """Excel saves it as "Strict Open XML Spreadsheet": ExcelDataReader #498, JanKallman/EPPlus #134."""
+    good = workbook(Sheet=[["Date", "g"], [date(2026, 3, 2), 1.5]])
+    strict = {
+        b"http://schemas.openxmlformats.org/officeDocument/2006/": b"http://purl.oclc.org/ooxml/officeDocument/",
+        b"http://schemas.openxmlformats.org/spreadsheetml/2006/": b"http://purl.oclc.org/ooxml/spreadsheetml/",
+    }
+    with zipfile.ZipFile(BytesIO(good)) as file:
+        parts = {each: file.read(each) for each in file.namelist()}
+    for name, part in parts.items():
+        for usual, own in strict.items():
+            parts[name] = parts[name].replace(usual, own)
+        assert parts[name] != part or "xl/w" not in name
+    assert sheets_of(packed(parts)) == sheets_of(good) == {"Sheet": "Date\tg\n2026-03-02\t1.5\n"}
+    sheet = "xl/worksheets/sheet1.xml"
+    dated = (
+        b'<worksheet><sheetData><row><c t="d"><v>2026-03-02T00:00:00</v></c></row></sheetData></worksheet>'
+    )
+    assert sheets_of(packed(parts | {sheet: dated})) == {"Sheet": "2026-03-02\n"}
