@@ -49,6 +49,7 @@ class Recording:
     image_size_px: tuple[int, int]  # W, H
     rig_name: str
     is_simulated: bool
+    holds_masks: bool  # silhouettes, 255 where the body is, instead of photographs
     speed_at_gate_mm_s: float  # of the stones when they closed the beam of the gate
     rig: RigCalibration | None
     document: Mapping[str, Any]
@@ -59,14 +60,14 @@ class Recording:
     """The bundles that cannot be used, and why."""
 
 
-def open_recording(path: Path) -> Recording:
+def open_recording(path: Path, *, takes_masks: bool = False) -> Recording:
     """Open a recording; reads recording.json, rig.json and the header of every bundle, no pixels.
 
     Raises
     ------
     RecordingError
         recording.json is missing, it or rig.json is damaged or of another version, the rig is one of other cameras,
-        or no bundle can be used.
+        or no bundle can be used; or the recording holds masks, and only photographs are taken.
     """
     document_path = path / "recording.json"
     if not document_path.is_file():
@@ -80,6 +81,9 @@ def open_recording(path: Path) -> Recording:
     is_simulated = document.get("is_simulated")
     if not isinstance(is_simulated, bool):
         raise RecordingError(document_path, f"is_simulated: must be true or false, not {is_simulated!r}")
+    holds_masks = document.get("holds_masks", False)
+    if holds_masks and not takes_masks:
+        raise RecordingError(path, "holds masks, not photographs: only `stonefall measure` takes those")
     rig_path = path / "rig.json"
     rig = read_rig(rig_path) if rig_path.exists() else None
     if rig is not None:
@@ -91,6 +95,7 @@ def open_recording(path: Path) -> Recording:
         image_size_px=size_px,
         rig_name=str(document.get("rig_name", "")),
         is_simulated=is_simulated,
+        holds_masks=bool(holds_masks),
         speed_at_gate_mm_s=_speed_at_gate_mm_s(document_path, document),
         rig=rig,
         document=document,
@@ -135,6 +140,7 @@ class RecordingSource:
     camera_ids: tuple[CameraId, ...]  # in the order of the pages of bundle files
     rig: RigCalibration
     is_simulated: bool
+    holds_masks: bool = False  # silhouettes, 255 where the body is, instead of photographs
     camera_settings: Mapping[str, Any] = field(default_factory=dict)  # JSON, as recording.json has them
     gate_settings: Mapping[str, Any] = field(default_factory=dict)
     fall: Fall = field(default_factory=Fall)
@@ -188,6 +194,8 @@ class RecordingWriter:
             "gate_settings": dict(source.gate_settings),
             "made_by": self.made_by,
         }
+        if source.holds_masks:
+            self._document["holds_masks"] = True
         _require_rig_of(path / "rig.json", source.rig, source.camera_ids, source.image_size_px)
 
     def __enter__(self) -> Self:

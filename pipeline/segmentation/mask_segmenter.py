@@ -1,4 +1,4 @@
-"""The paper's segmentation: a network sees the whole image, and its mask alone is the silhouette.
+"""Masks as silhouettes: that of a network that sees the whole image, as in the paper, or one that was imported.
 
 The paper uses U2-Net with its official weights. The mask is that of the published code: the first output, stretched
 between its extremes, above one half; of its contours the largest counts. The network computes on 320 x 320, so an
@@ -45,19 +45,24 @@ class MaskSegmenter:
         except ModelError as err:
             empty = no_body(frame, ViewStatus.EMPTY, FoundBy.U2NET)
             return replace(empty, fallback=str(err), network_trouble=str(err))
-        return silhouette_of_mask(frame, probability > THRESHOLD)
+        return silhouette_of_mask(frame, probability > THRESHOLD, FoundBy.U2NET)
 
 
-def silhouette_of_mask(frame: Frame, mask: NDArray[np.bool_]) -> Silhouette:
+def imported_mask(frame: Frame, background: BackgroundModel) -> Silhouette:
+    """Return the silhouette of a frame that is a mask, 255 where the body is; a `Segmenter`."""
+    return silhouette_of_mask(frame, frame.image > 127, FoundBy.MASK)
+
+
+def silhouette_of_mask(frame: Frame, mask: NDArray[np.bool_], found_by: FoundBy) -> Silhouette:
     """Return the silhouette of the largest contour of a mask (H, W), to whole pixels."""
     found, _ = cv2.findContours(mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not found:
-        return no_body(frame, ViewStatus.EMPTY, FoundBy.U2NET)
+        return no_body(frame, ViewStatus.EMPTY, found_by)
     contour = np.asarray(max(found, key=cv2.contourArea))
     height_px, width_px = mask.shape
     left, top, width, height = cv2.boundingRect(contour)
     if left == 0 or top == 0 or left + width == width_px or top + height == height_px:
-        return no_body(frame, ViewStatus.CLIPPED, FoundBy.U2NET)
+        return no_body(frame, ViewStatus.CLIPPED, found_by)
     corner_uv = max(left - MARGIN_PX, 0), max(top - MARGIN_PX, 0)
     end_u, end_v = min(left + width + MARGIN_PX, width_px), min(top + height + MARGIN_PX, height_px)
     labels = np.full((end_v - corner_uv[1], end_u - corner_uv[0]), OUTSIDE)
@@ -70,7 +75,7 @@ def silhouette_of_mask(frame: Frame, mask: NDArray[np.bool_]) -> Silhouette:
         labels=labels,
         outline_uv=_outline_uv(labels) + corner_uv,
         distances=KnownDistances(_distances_px(labels)),
-        found_by=FoundBy.U2NET,
+        found_by=found_by,
     )
 
 

@@ -40,6 +40,8 @@ class FoundBy(StrEnum):
     BACKGROUND = "background"
     NETWORK = "network"
     U2NET = "u2net"
+    MASK = "mask"
+    """No segmenter of ours: the image was a mask already."""
 
 
 class Distances(Protocol):

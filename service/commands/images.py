@@ -1,19 +1,23 @@
-"""`stonefall import` and `export`: recordings from PNG images and back, a folder for each bundle."""
+"""`stonefall import` and `export`: recordings from images and back, a folder for each bundle."""
 
-import re
 import sys
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
 from drivers.errors import RecordingError
 from drivers.files.durable import new_folder
-from drivers.files.png_file import read_png, write_png
+from drivers.files.image_file import GREY_BITS, read_image, write_png
+from drivers.files.image_folder import camera_images, exposure_folders
 from drivers.files.recording import (
     RecordingSource,
     RecordingWriter,
@@ -23,40 +27,72 @@ from drivers.files.recording import (
 )
 from drivers.files.rig_file import read_rig, write_rig
 from drivers.interfaces import FrameLossReason
-from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Trigger, rfc3339
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger, rfc3339
 from pipeline.rig.cameras import RigCalibration
 from service.base.errors import UsageError
+from service.commands.options import with_options
 
+RIG, BACKGROUNDS = "rig.json", "backgrounds.txt"
+"""Files that `export` writes beside the folders of bundles."""
+MOST_BITS = 16
 SPACING_NS = 250_000_000
 EXPOSURE_DELAY_NS = 247_400_000
 TRANSFER_NS = 12_000_000
 """Times that are given to the images, which carry none: those of the paper's rig at four stones a second."""
 
 
-def import_command(
-    source: Annotated[
-        Path, typer.Argument(help="Folder with a folder for each bundle and in it <camera id>.png.")
-    ],
-    out: Annotated[Path, typer.Argument(help="Folder of the new recording.")],
-    rig: Annotated[Path, typer.Option(help="Rig file of the cameras.")],
-    background: Annotated[
-        list[str] | None,
-        typer.Option(help="Name of a bundle's folder that shows the empty rig; may be repeated."),
-    ] = None,
-    simulated: Annotated[bool, typer.Option("--simulated", help="Mark the images as synthetic.")] = False,
-) -> None:
-    """Make a recording from folders of 8-bit grey PNG images; a missing file means a missing view."""
-    calibration = read_rig(rig)
-    folders = _bundle_folders(source, background or [])
+@dataclass(frozen=True, slots=True)
+class ImportOptions:
+    source: Annotated[Path, typer.Argument()]
+    """Folder with a folder for each bundle and in it <camera id>.png or .tif."""
+    out: Annotated[Path, typer.Argument()]
+    """Folder of the new recording."""
+    rig: Path
+    """Rig file of the cameras."""
+    background: list[str] | None = None
+    """Name of a bundle's folder that shows the empty rig; may be repeated."""
+    simulated: bool = False
+    """Mark the images as synthetic."""
+    bits: Annotated[int | None, typer.Option(min=9, max=16)] = None
+    """Bits that the camera gave for each pixel, where files of 16 bits hold fewer: 10, 12 or 14."""
+    masks: bool = False
+    """The images are masks of two grey levels, that of their border is the background."""
+
+
+@with_options
+def import_command(options: ImportOptions) -> None:
+    """Make a recording from folders of grey PNG or TIFF images; a missing file means a missing view.
+
+    Of more than 8 bits the upper 8 are kept. What is not imported is named.
+    """
+    calibration = read_rig(options.rig)
+    folders, left_out = _bundle_folders(options.source, options.background or [])
+    left_out = [path for path in left_out if path.name not in (RIG, BACKGROUNDS)]
     started_at = datetime.now(UTC)
+    reader = _ImageReader(calibration.cameras[0].image_size_px, options.bits, options.masks)
     with RecordingWriter(
-        out,
-        RecordingSource(camera_ids=calibration.camera_ids, rig=calibration, is_simulated=simulated),
-        made_by={"command": "import", "source": source.name, "times": "invented"},
+        options.out,
+        RecordingSource(
+            camera_ids=calibration.camera_ids,
+            rig=calibration,
+            is_simulated=options.simulated,
+            holds_masks=options.masks,
+        ),
+        made_by={"command": "import", "source": options.source.name, "times": "invented"},
     ) as writer:
         console = Console(file=sys.stderr)
         for sequence, (folder, kind) in enumerate(track(folders, "importing", console=console)):
-            writer.add(_bundle(folder, kind, sequence, calibration, started_at))
+            files, others = camera_images(folder, calibration.camera_ids)
+            left_out += others
+            images = {camera: reader.read(path) for camera, path in files.items()}
+            writer.add(_bundle(folder.name, kind, sequence, images, calibration, started_at))
+        reader.require_known_depth()
+    for bits, count in sorted(reader.depths.items()):
+        if bits > GREY_BITS:
+            console.print(f"{count} images of {bits} bits: the upper {GREY_BITS} are kept")
+    if left_out:
+        console.print(f"{len(left_out)} left out, neither PNG nor TIFF in the folder of a bundle:")
+    _tell_left_out(console, map(str, left_out))
 
 
 def export_command(
@@ -69,7 +105,7 @@ def export_command(
 
     backgrounds.txt lists the bundles that show the empty rig. Damaged images are left out and named.
     """
-    source = open_recording(recording)
+    source = open_recording(recording, takes_masks=True)
     console = Console(file=sys.stderr)
     left_out = [str(error) for error in source.unreadable]
     with new_folder(out) as folder:
@@ -90,58 +126,114 @@ def export_command(
                 write_png(folder / bundle.name / f"{camera}.png", frame.image)
             if bundle.kind is BundleKind.BACKGROUND:
                 backgrounds.append(bundle.name)
-        (folder / "backgrounds.txt").write_text(
-            "".join(f"{name}\n" for name in backgrounds), encoding="utf-8"
-        )
+        (folder / BACKGROUNDS).write_text("".join(f"{name}\n" for name in backgrounds), encoding="utf-8")
         if source.rig is not None:
-            write_rig(folder / "rig.json", source.rig)
+            write_rig(folder / RIG, source.rig)
+    _tell_left_out(console, left_out)
+
+
+def _tell_left_out(console: Console, left_out: Iterable[str]) -> None:
     for problem in left_out:
         console.print(f"left out: {problem}", markup=False, highlight=False, soft_wrap=True)
 
 
-def _bundle_folders(source: Path, backgrounds: Sequence[str]) -> list[tuple[Path, BundleKind]]:
-    """Return the folders in the order of their names, numbers by value, those of the empty rig first."""
-    if not source.is_dir():
-        raise RecordingError(source, "is not a folder")
-    folders = [path for path in source.iterdir() if path.is_dir() and not path.name.startswith(".")]
-    if not folders:
-        raise RecordingError(source, "has no folder of images")
+def _bundle_folders(
+    source: Path, backgrounds: Sequence[str]
+) -> tuple[list[tuple[Path, BundleKind]], list[Path]]:
+    """Return the folders in their order, those of the empty rig first, and the files beside them."""
+    folders, files = exposure_folders(source)
     if unknown := sorted(set(backgrounds) - {folder.name for folder in folders}):
         raise UsageError(f"--background {unknown[0]}: {source} has no such folder")
-
-    def sort_key(folder: Path) -> tuple[bool, list[tuple[int, str]], str]:
-        numbers_and_words = re.findall(r"(\d+)|(\D+)", folder.name)
-        key = [(int(number or 0), word) for number, word in numbers_and_words]
-        return folder.name not in backgrounds, key, folder.name
-
-    return [
+    kinds = [
         (folder, BundleKind.BACKGROUND if folder.name in backgrounds else BundleKind.PARTICLE)
-        for folder in sorted(folders, key=sort_key)
+        for folder in folders
     ]
+    return sorted(kinds, key=lambda each: each[1] is not BundleKind.BACKGROUND), files
+
+
+class _ImageReader:
+    """Reads images of one size as 8 bits; counts how deep they were in `depths`."""
+
+    def __init__(self, size_px: tuple[int, int], bits: int | None, masks: bool) -> None:
+        self._size_px, self._bits, self._masks = size_px, bits, masks
+        self._greatest = 0  # level of the images of 16 bits
+        self.depths: Counter[int] = Counter()
+
+    def read(self, path: Path) -> Image:
+        """Return an image (H, W).
+
+        Raises
+        ------
+        RecordingError
+            As `read_image`; or it has another size, is a mask where a photograph is needed or a photograph where a
+            mask is, or a level is beyond the bits that the camera gave.
+        """
+        found = read_image(path)
+        if found.pixels.shape != self._size_px[::-1]:
+            height_px, width_px = found.pixels.shape
+            wanted = "x".join(map(str, self._size_px))
+            raise RecordingError(path, f"has {width_px}x{height_px} pixels; the rig's camera has {wanted}")
+        mask = mask_of(found.pixels)
+        if self._masks:
+            if mask is None:
+                raise RecordingError(path, "has more than two grey levels: with --masks all images are masks")
+            return mask
+        if mask is not None and mask.any():
+            raise RecordingError(
+                path, "has two grey levels only: it is a mask, not a photograph; `import --masks` takes masks"
+            )
+        bits = found.bits
+        if bits == MOST_BITS:
+            bits = self._bits or bits
+            self._greatest = max(self._greatest, int(found.pixels.max()))
+            if self._greatest >> bits:
+                raise RecordingError(path, f"has grey level {self._greatest}, which is more than {bits} bits")
+        self.depths[bits] += 1
+        return found.to_8_bits(bits)
+
+    def require_known_depth(self) -> None:
+        """Raise `UsageError` where files have 16 bits, and no pixel uses the upper four."""
+        if self.depths[MOST_BITS] and self._bits is None and self._greatest >> (MOST_BITS - 4) == 0:
+            raise UsageError(
+                f"images of 16 bits have no grey level above {self._greatest}: name what the camera gave, as with"
+                f" --bits {max(self._greatest.bit_length() + 1 & ~1, 10)}"
+            )
+
+
+def mask_of(pixels: NDArray[Any]) -> Image | None:
+    """Return the mask (H, W), 255 where the body is, that an image of two grey levels is; None if there are more.
+
+    The level of most of the image's border is the background. An image of one level is a mask without a body.
+    """
+    low, high = pixels.min(), pixels.max()
+    is_high = pixels == high
+    if not (is_high | (pixels == low)).all():
+        return None
+    if low == high:
+        return np.zeros(pixels.shape, np.uint8)
+    border = np.concatenate([is_high[0], is_high[-1], is_high[:, 0], is_high[:, -1]])
+    return np.where(is_high != (np.mean(border) > 0.5), np.uint8(255), np.uint8(0))
 
 
 def _bundle(
-    folder: Path, kind: BundleKind, sequence: int, rig: RigCalibration, started_at: datetime
+    name: str,
+    kind: BundleKind,
+    sequence: int,
+    images: Mapping[CameraId, Image],
+    rig: RigCalibration,
+    started_at: datetime,
 ) -> FrameBundle:
-    files = {}
-    for path in sorted(folder.iterdir()):
-        if path.suffix.lower() == ".png":
-            if path.stem not in rig.camera_ids:
-                raise RecordingError(path, f"{path.stem!r} is no camera of the rig")
-            files[CameraId(path.stem)] = path
-    if not files:
-        raise RecordingError(folder, "has no image <camera id>.png")
     trigger_ns = (sequence + 1) * SPACING_NS
     utc = started_at + timedelta(microseconds=trigger_ns / 1000)
     frames = {
         camera: Frame(
             camera=camera,
-            image=read_png(path, rig.cameras[0].image_size_px),
+            image=image,
             frame_id=sequence + 1,
             device_ns=trigger_ns + EXPOSURE_DELAY_NS,
             received_ns=trigger_ns + EXPOSURE_DELAY_NS + TRANSFER_NS,
         )
-        for camera, path in files.items()
+        for camera, image in images.items()
     }
     return FrameBundle(
         trigger=Trigger(
@@ -150,8 +242,8 @@ def _bundle(
             device_ns=trigger_ns,
             utc=rfc3339(utc),
             kind=kind,
-            name=folder.name,
+            name=name,
         ),
         frames=frames,
-        missing={camera: "no_image" for camera in rig.camera_ids if camera not in files},
+        missing={camera: "no_image" for camera in rig.camera_ids if camera not in images},
     )

@@ -28,7 +28,7 @@ from pipeline.gradation.indices import INDICES
 from pipeline.gradation.sieves import ALL_SIZES
 from pipeline.meshing import Mesher
 from pipeline.paper import PAPER
-from pipeline.particle import PipelineParameters
+from pipeline.particle import BodyParameters, PipelineParameters
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation.segmenter_choice import SegmenterKind
 from service.base.errors import UsageError
@@ -104,7 +104,7 @@ class MeasureOptions:
 @with_options
 def command(options: MeasureOptions) -> None:
     """Measure every stone of a recording, with the same results as the daemon's, on any number of workers."""
-    source = open_recording(options.recording)
+    source = open_recording(options.recording, takes_masks=True)
     rig_path = options.rig or source.path / "rig.json"
     if options.rig is None and not rig_path.exists():
         raise UsageError(f"{options.recording} has no rig.json; name a rig file with --rig")
@@ -117,6 +117,12 @@ def command(options: MeasureOptions) -> None:
         if options.config is not None:
             raise UsageError("--method paper has parameters of its own; leave --config out")
         parameters, segmentation = PAPER, SegmentationSettings(segmenter="mask", model=PAPERS_MODEL)
+    if source.holds_masks:
+        if options.segmenter or options.model or options.method is MethodName.PAPER:
+            raise UsageError(f"{options.recording} holds masks: leave --segmenter, --model and --method out")
+        if options.body == "photo" or options.texture:
+            raise UsageError(f"{options.recording} holds masks, which show nothing within the outlines")
+        parameters = replace(parameters, body=BodyParameters("estimate", texture=False))
     try:
         parameters = replace(
             parameters,
@@ -130,7 +136,9 @@ def command(options: MeasureOptions) -> None:
         parameters=parameters,
         is_simulated=source.is_simulated,
         speed_at_gate_mm_s=source.speed_at_gate_mm_s,
-        segmentation=_segmenter_plan(segmentation, options.segmenter, options.model),
+        segmentation=SegmenterPlan(takes_masks=True)
+        if source.holds_masks
+        else _segmenter_plan(segmentation, options.segmenter, options.model),
     )
     taken = [name for name in FOLDERS if (options.out / name).exists()]
     if taken and not (options.out / RESULTS).exists():

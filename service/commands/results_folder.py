@@ -11,7 +11,7 @@ from typing import IO, Any
 from rich.console import Console
 from rich.progress import Progress
 
-from drivers.files.png_file import write_png
+from drivers.files.image_file import write_png
 from drivers.files.recording import Recording, playback_order, unreadable_triggers
 from drivers.files.silhouette_file import read_silhouettes
 from service.base.errors import ServiceError

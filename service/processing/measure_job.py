@@ -28,11 +28,9 @@ from pipeline import carving, estimate, measuring, meshing, preview, refinement
 from pipeline.frames import CameraId
 from pipeline.particle import ParticleResult, PipelineParameters, measure_bundle
 from pipeline.rig.cameras import RigCalibration
-from pipeline.segmentation import BackgroundModel
+from pipeline.segmentation import BackgroundModel, Segmenter
 from pipeline.segmentation.background import learn_background as learn
-from pipeline.segmentation.mask_segmenter import MaskSegmenter
 from pipeline.segmentation.optics import observe_all
-from pipeline.segmentation.segmenter_choice import ChoosingSegmenter
 from pipeline.view_mapper import ViewMapper
 from pipeline.views import consistency
 from service.base.errors import WorkerFailure
@@ -103,7 +101,7 @@ class Worker:
     """State of a worker process that its jobs share."""
 
     context: WorkerContext
-    segmenter: ChoosingSegmenter | MaskSegmenter
+    segmenter: Segmenter
 
 
 @lru_cache(maxsize=1)

@@ -11,9 +11,9 @@ import numpy as np
 
 from pipeline.errors import ModelError
 from pipeline.frames import CameraId, Frame
-from pipeline.segmentation import segmenter_choice
+from pipeline.segmentation import Segmenter, segmenter_choice
 from pipeline.segmentation.background import CameraBackground
-from pipeline.segmentation.mask_segmenter import MaskSegmenter
+from pipeline.segmentation.mask_segmenter import MaskSegmenter, imported_mask
 from pipeline.segmentation.network import Network, available_providers, load_network
 from pipeline.segmentation.network_segmenter import NetworkSegmenter
 from pipeline.segmentation.segmenter_choice import ChoosingSegmenter, SegmenterKind
@@ -32,6 +32,7 @@ class SegmenterPlan:
     providers: tuple[str, ...] = ()
     trouble: str | None = None  # why there is no model
     provider_trouble: str | None = None  # why the model does not run on the configured provider
+    takes_masks: bool = False  # images are masks: nothing is to be found
 
     @property
     def warning(self) -> str | None:
@@ -45,10 +46,10 @@ CLASSICAL = SegmenterPlan()
 """The plan without a network: only the comparison with the background."""
 
 
-def build_segmenter(
-    plan: SegmenterPlan, parameters: SegmentationParameters
-) -> ChoosingSegmenter | MaskSegmenter:
+def build_segmenter(plan: SegmenterPlan, parameters: SegmentationParameters) -> Segmenter:
     """Return the segmenter of a plan; without the network if this process cannot load it."""
+    if plan.takes_masks:
+        return imported_mask
     network: Network | None = None
     if plan.model is not None:
         try:
@@ -67,10 +68,10 @@ def build_segmenter(
     )
 
 
-def warm_up(segmenter: ChoosingSegmenter | MaskSegmenter) -> None:
+def warm_up(segmenter: Segmenter) -> None:
     """Compile and allocate what segmentation needs, by segmenting squares, so that the first stone need not wait."""
     segmenter_choice.warm_up()
-    asked = segmenter if isinstance(segmenter, MaskSegmenter) else segmenter.network
+    asked = segmenter.network if isinstance(segmenter, ChoosingSegmenter) else segmenter
     if asked is None:
         return
     wall = np.full((256, 320), 200, np.float32)

@@ -196,7 +196,7 @@ class Result(BaseModel):
     dropped_views: dict[str, str] = {}
     """Cameras whose views were not used, each with the reason"""
     segmenters: dict[str, str] = {}
-    """Segmenter that found the outline in each view: background, network or u2net"""
+    """Segmenter that found the outline in each view: background, network, u2net; mask: the image was one"""
     segmentation_flags: dict[str, str] = {}
     """Cameras whose view another segmenter than the first decided, each with the reason"""
     body: Indexed[Annotated[Literal["photo", "estimate", "hull"] | None, ONLY_IF_MEASURED]] = None

@@ -10,7 +10,7 @@ import pytest
 from drivers.errors import RecordingError
 from drivers.files.bounded import read_bounded
 from drivers.files.durable import read_json
-from drivers.files.png_file import read_png
+from drivers.files.image_file import read_image
 from service.base.errors import SettingsError, StoreError, VolumeModelError
 from service.configuration.settings import load_settings
 from service.configuration.volume_models import read_volume_model
@@ -25,7 +25,7 @@ def secret_of(path: Path) -> list[bytes]:
 READERS = [
     (load_settings, SettingsError),
     (read_json, RecordingError),
-    (lambda path: read_png(path, (1280, 1024)), RecordingError),
+    (read_image, RecordingError),
     (keys_of_file, StoreError),
     (read_volume_model, VolumeModelError),
     (secret_of, ValueError),

@@ -8,7 +8,7 @@ from pipeline.errors import ModelError
 from pipeline.frames import CameraId, Frame, Image
 from pipeline.segmentation.mask_segmenter import MaskSegmenter, silhouette_of_mask
 from pipeline.segmentation.network import load_network
-from pipeline.segmentation.silhouette import MARGIN_PX, ViewStatus
+from pipeline.segmentation.silhouette import MARGIN_PX, FoundBy, ViewStatus
 
 V, U = np.mgrid[:1024, :1280]
 
@@ -34,7 +34,7 @@ def test_the_largest_contour_of_the_mask_is_the_silhouette() -> None:
 
 
 def test_distances_are_those_to_the_edge_between_pixels() -> None:
-    found = silhouette_of_mask(frame_of(disc(600, 500, 100)), disc(600, 500, 100) < 100)
+    found = silhouette_of_mask(frame_of(disc(600, 500, 100)), disc(600, 500, 100) < 100, FoundBy.U2NET)
     v, u = np.mgrid[: found.labels.shape[0] : 2, : found.labels.shape[1] : 2]
     left, top = found.offset_uv
     expected_px = 100 - np.hypot(u + left - 600, v + top - 500)
@@ -47,17 +47,20 @@ def test_holes_are_filled_and_other_bodies_left_out() -> None:
     mask[300:500, 300:500] = True
     mask[350:400, 350:400] = False
     mask[700:720, 700:720] = True
-    found = silhouette_of_mask(frame_of(mask.view(np.uint8)), mask)
+    found = silhouette_of_mask(frame_of(mask.view(np.uint8)), mask, FoundBy.U2NET)
     assert np.count_nonzero(found.label_image() == 255) == 200 * 200
     assert found.outline_uv.min(axis=0) == pytest.approx([299.5, 299.5], abs=0.01)
 
 
 def test_views_without_a_whole_body_say_so() -> None:
     nothing = np.zeros(U.shape, bool)
-    assert silhouette_of_mask(frame_of(nothing.view(np.uint8)), nothing).status is ViewStatus.EMPTY
+    assert (
+        silhouette_of_mask(frame_of(nothing.view(np.uint8)), nothing, FoundBy.U2NET).status
+        is ViewStatus.EMPTY
+    )
     cut = nothing.copy()
     cut[:100, 300:400] = True
-    assert silhouette_of_mask(frame_of(cut.view(np.uint8)), cut).status is ViewStatus.CLIPPED
+    assert silhouette_of_mask(frame_of(cut.view(np.uint8)), cut, FoundBy.U2NET).status is ViewStatus.CLIPPED
 
 
 def test_a_network_that_fails_finds_nothing_and_says_why(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,15 +1,17 @@
 import filecmp
 import json
+import re
 from pathlib import Path
 
 import imagecodecs
 import numpy as np
 import pytest
+import tifffile
 from support.recordings import CAMERAS, SIZE_PX, make_bundle, small_rig, tagged_image, write_recording
 from typer.testing import CliRunner
 
 from drivers.errors import RecordingError
-from drivers.files.png_file import write_png
+from drivers.files.image_file import write_png
 from drivers.files.recording import open_recording, playback_order, read_bundle
 from drivers.files.rig_file import write_rig
 from pipeline.frames import BundleKind
@@ -79,16 +81,19 @@ def test_export_leaves_damage_out_and_says_so(tmp_path: Path, capsys: pytest.Cap
 
 
 WIDTH_PX, HEIGHT_PX = SIZE_PX
+N_PIXELS = WIDTH_PX * HEIGHT_PX
 
 
 @pytest.mark.parametrize(
     ("name", "image", "message"),
     [
-        ("c02.png", np.zeros((HEIGHT_PX, WIDTH_PX), np.uint16), r"c02\.png: is a 16-bit image"),
-        ("c02.png", np.zeros((HEIGHT_PX, WIDTH_PX, 3), np.uint8), r"c02\.png: is a colour image"),
+        ("c02.png", np.arange(3 * N_PIXELS).reshape(HEIGHT_PX, WIDTH_PX, 3), r"c02\.png: is a colour image"),
+        ("c02.png", np.eye(HEIGHT_PX, WIDTH_PX), r"c02\.png: has two grey levels only: it is a mask"),
         ("c02.png", np.zeros((WIDTH_PX, HEIGHT_PX), np.uint8), r"c02\.png: has 48x64 pixels; .* 64x48"),
         ("c99.png", np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8), r"c99\.png: 'c99' is no camera of the rig"),
         ("c02.png", None, r"c02\.png: is not a sound PNG"),
+        ("c02.PNG", np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8), r"c02\.\w+: is a second image of camera c02"),
+        ("c02.tif", np.zeros((HEIGHT_PX, WIDTH_PX), np.uint8), r"c02\.tif: is a second image of camera c02"),
     ],
 )
 def test_wrong_images_are_named_and_nothing_is_written(
@@ -97,7 +102,7 @@ def test_wrong_images_are_named_and_nothing_is_written(
     content = (
         (source / "stone 4" / "c02.png").read_bytes()[:-100]
         if image is None
-        else imagecodecs.png_encode(image)
+        else imagecodecs.png_encode(image.astype(np.uint8))
     )
     (source / "stone 4" / name).write_bytes(content)
     before = set(tmp_path.iterdir())
@@ -121,6 +126,87 @@ def test_wrong_folders_are_named(source: Path, tmp_path: Path) -> None:
         import_command(source, source, rig, ["empty"])
     with pytest.raises(RecordingError, match="exists already"):
         export_command(write_recording(out, [make_bundle(0)]), source)
+
+
+def test_what_systems_leave_is_skipped_and_other_files_are_named(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    apple_double = b"\0\5\x16\7\0\2\0\0Mac OS X        "
+    (source / "__MACOSX" / "stone 1").mkdir(parents=True)
+    for left in ("__MACOSX/stone 1/._c01.png", "stone 1/._c01.png", "stone 1/.DS_Store", "stone 2/Thumbs.db"):
+        (source / left).write_bytes(apple_double)
+    (source / "stone 4" / "c02.png").rename(source / "stone 4" / "c02.jpg")
+    (source / "c01.png").write_bytes(b"")
+    (source / "stone 5" / "more").mkdir()
+    for exported in ("rig.json", "backgrounds.txt"):
+        (source / exported).write_text("")
+    import_command(source, tmp_path / "rec", tmp_path / "rig.json", ["empty"])
+    said = capsys.readouterr().err
+    assert re.findall(r"left out: (?:.*/images/)?(.*)", said) == [
+        "c01.png",
+        "stone 4/c02.jpg",
+        "stone 5/more",
+    ]
+    assert "3 left out" in said
+    recording = open_recording(tmp_path / "rec")
+    assert len(recording.headers) == 11
+    fourth = read_bundle(playback_order(recording)[4].path, recording.camera_ids)
+    assert dict(fourth.missing) == {CAMERAS[1]: "no_image"}
+
+
+@pytest.mark.parametrize("bits", [12, 16])
+def test_deep_images_keep_their_upper_bits_and_their_depth_is_told(
+    source: Path, tmp_path: Path, bits: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each image again as a TIFF of 16 bits that holds `bits`, low bits at random: the same recording."""
+    import_command(source, tmp_path / "expected", tmp_path / "rig.json", ["empty"])
+    rng = np.random.default_rng(1)
+    for path in sorted(source.rglob("*.png")):
+        shift = bits - 8
+        deep = imagecodecs.png_decode(path.read_bytes()).astype(np.uint16) << shift
+        tifffile.imwrite(
+            path.with_suffix(".tif"), deep | rng.integers(1 << shift, size=deep.shape, dtype=np.uint16)
+        )
+        path.unlink()
+    if bits == 12:
+        with pytest.raises(UsageError, match=r"no grey level above 40\d\d: .*--bits 12"):
+            import_command(source, tmp_path / "rec", tmp_path / "rig.json", ["empty"])
+        assert not (tmp_path / "rec").exists()
+    capsys.readouterr()
+    import_command(
+        source, tmp_path / "rec", tmp_path / "rig.json", ["empty"], bits=None if bits == 16 else bits
+    )
+    assert f"43 images of {bits} bits: the upper 8 are kept" in capsys.readouterr().err
+    found, expected = (open_recording(tmp_path / name) for name in ("rec", "expected"))
+    for one, other in zip(playback_order(found), playback_order(expected), strict=True):
+        images, wanted = (read_bundle(each.path, found.camera_ids).frames for each in (one, other))
+        assert all(np.array_equal(images[camera].image, wanted[camera].image) for camera in wanted)
+    with pytest.raises(RecordingError, match=r"c\d\d\.tif: has grey level \d+, which is more than 10 bits"):
+        import_command(source, tmp_path / "more", tmp_path / "rig.json", ["empty"], bits=10)
+
+
+@pytest.mark.parametrize(("body", "wall"), [(255, 0), (0, 255), (1, 0), (30, 200)])
+def test_masks_are_imported_as_such_whichever_level_is_the_body(
+    source: Path, tmp_path: Path, body: int, wall: int
+) -> None:
+    v, u = np.mgrid[:HEIGHT_PX, :WIDTH_PX]
+    is_body = np.hypot(u - 30, v - 20) < 10
+    for path in source.rglob("*.png"):
+        is_empty = path.parent.name == "empty"
+        write_png(path, np.where(is_body & ~is_empty, body, wall).astype(np.uint8))
+    with pytest.raises(RecordingError, match="it is a mask, not a photograph; `import --masks`"):
+        import_command(source, tmp_path / "rec", tmp_path / "rig.json")
+    import_command(source, tmp_path / "rec", tmp_path / "rig.json", masks=True)
+    with pytest.raises(RecordingError, match="holds masks, not photographs"):
+        open_recording(tmp_path / "rec")
+    recording = open_recording(tmp_path / "rec", takes_masks=True)
+    for header in recording.headers:
+        expected = is_body & (header.name != "empty")
+        for frame in read_bundle(header.path, recording.camera_ids).frames.values():
+            assert np.array_equal(frame.image, np.where(expected, 255, 0))
+    write_png(source / "stone 1" / "c01.png", tagged_image(1, CAMERAS[0]))
+    with pytest.raises(RecordingError, match=r"c01\.png: has more than two grey levels"):
+        import_command(source, tmp_path / "more", tmp_path / "rig.json", masks=True)
 
 
 def test_the_command_lines(source: Path, tmp_path: Path) -> None:

@@ -102,6 +102,31 @@ def test_files_are_as_promised_and_independent_of_the_workers(recording: Path, t
     assert curve["unmeasured"]["n_stones"] == 0
 
 
+def test_imported_masks_are_silhouettes_and_never_claim_more_than_they_show(
+    recording: Path, tmp_path: Path
+) -> None:
+    """The silhouettes of photographs, given as masks: the same body, to what whole pixels tell of it."""
+    run(recording, "--out", tmp_path / "out", "--workers", 1, "--save-silhouettes")
+    folders = tmp_path / "out" / "silhouettes"
+    for path in folders.rglob("*.png"):
+        labels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(path), np.where(labels == 255, np.uint8(255), np.uint8(0)))
+    masks = tmp_path / "masks"
+    arguments = ["import", str(folders), str(masks), "--rig", str(recording / "rig.json"), "--masks"]
+    assert CliRunner().invoke(APP, arguments, catch_exceptions=False).exit_code == 0
+    run(masks, "--out", tmp_path / "of-masks", "--workers", 1)
+    for expected, found in zip(records(tmp_path / "out"), records(tmp_path / "of-masks"), strict=True):
+        assert set(found["segmenters"].values()) == {"mask"}
+        assert (found["body"], found["quality"] == "good") == ("estimate", False)
+        sd = found["volume_sd_percent"] / 100
+        assert found["volume_mm3"] == pytest.approx(expected["volume_mm3"], rel=2 * sd)
+        assert found["volume_sd_percent"] > 2 * expected["volume_sd_percent"]
+    for unfit in (["--segmenter", "auto"], ["--body", "photo"], ["--texture"], ["--method", "paper"]):
+        result = CliRunner().invoke(APP, ["measure", str(masks), "--out", str(tmp_path / "no"), *unfit])
+        assert isinstance(result.exception, UsageError)
+        assert "holds masks" in str(result.exception)
+
+
 def test_the_hull_itself_can_be_asked_for(recording: Path, tmp_path: Path) -> None:
     run(recording, "--out", tmp_path, "--workers", 1, "--body", "hull", "--mesher", "skimage")
     for record in records(tmp_path):
