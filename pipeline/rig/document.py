@@ -16,6 +16,8 @@ FIELD_AT_ORIGIN_MM = (20.0, 250.0)
 """Plausible range of the image's width at the origin; outside it a focal length is in the wrong unit."""
 MAX_MISS_MM = 10.0
 """Largest plausible distance between the origin and the ray through the centre of the image."""
+OPENCV_COEFFICIENTS = (4, 8, 12, 14)
+"""Numbers of coefficients that OpenCV gives beside five."""
 LENS_RANGES = {
     "focal_length_mm": (1.0, 1000.0),
     "f_number": (0.5, 64.0),
@@ -88,9 +90,7 @@ def _camera(entry: Any, path: str) -> CameraCalibration:
     has_model = any(members.get(key) is not None for key in ("K", "R", "t_mm"))
     if not has_model and members.get("projection") is None:
         raise RigError(path, "needs K, R and t_mm, or projection")
-    distortion = (
-        np.zeros(5) if members.get("distortion") is None else _numbers(members, "distortion", (5,), path)
-    )
+    distortion = _distortion(members, path)
     if np.abs(distortion).max() > 10:
         raise RigError(f"{path}.distortion", f"implausible coefficients {distortion.tolist()}")
     if has_model:
@@ -120,6 +120,21 @@ def _camera(entry: Any, path: str) -> CameraCalibration:
     if has_model and members.get("projection") is not None:
         _require_agreement(camera, _numbers(members, "projection", (3, 4), path), path)
     return camera
+
+
+def _distortion(members: Mapping[str, Any], path: str) -> Floats:
+    """Return k1 k2 p1 p2 k3 (5,) of as many coefficients as OpenCV gives, of which the further ones must be 0."""
+    values = members.get("distortion")
+    if values is None:
+        return np.zeros(5)
+    n_given = len(values) if isinstance(values, list) and len(values) in OPENCV_COEFFICIENTS else 5
+    given = _numbers(members, "distortion", (n_given,), path)
+    if given[5:].any():
+        raise RigError(
+            f"{path}.distortion",
+            f"has coefficients beyond k1 k2 p1 p2 k3, which no ray is bent by: {given[5:]}",
+        )
+    return np.append(given[:5], np.zeros(5))[:5]
 
 
 def _lens(entry: Any, path: str) -> Lens:

@@ -25,10 +25,12 @@ from drivers.files.recording import (
     playback_order,
     read_bundle,
 )
-from drivers.files.rig_file import read_rig, write_rig
+from drivers.files.rig_file import is_rig_file, read_foreign_rig, read_rig, write_rig
 from drivers.interfaces import FrameLossReason
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger, rfc3339
+from pipeline.rig.camera_arrays import camera_arrays
 from pipeline.rig.cameras import RigCalibration
+from pipeline.rig.foreign import Placement
 from service.base.errors import UsageError
 from service.commands.options import with_options
 
@@ -48,15 +50,21 @@ class ImportOptions:
     out: Annotated[Path, typer.Argument()]
     """Folder of the new recording."""
     rig: Path
-    """Rig file of the cameras."""
+    """Rig file of the cameras; or cameras of another program: a folder of COLMAP or OpenCV, a transforms.json of
+    Blender, a text of matrices."""
     background: list[str] | None = None
-    """Name of a bundle's folder that shows the empty rig; may be repeated."""
+    """Name of a bundle's folder that shows the empty rig; may be repeated. Default: those in backgrounds.txt."""
     simulated: bool = False
     """Mark the images as synthetic."""
     bits: Annotated[int | None, typer.Option(min=9, max=16)] = None
     """Bits that the camera gave for each pixel, where files of 16 bits hold fewer: 10, 12 or 14."""
     masks: bool = False
     """The images are masks of two grey levels, that of their border is the background."""
+    mm_per_unit: Annotated[float | None, typer.Option(min=1e-6, max=1e6)] = None
+    """Unit of lengths in such a file, mm; default: 1."""
+    origin: str | None = None
+    """Point of its world that becomes the rig's centre: X,Y,Z in its units, or axes for the one nearest to all
+    optical axes; default: 0,0,0."""
 
 
 @with_options
@@ -65,8 +73,8 @@ def import_command(options: ImportOptions) -> None:
 
     Of more than 8 bits the upper 8 are kept. What is not imported is named.
     """
-    calibration = read_rig(options.rig)
-    folders, left_out = _bundle_folders(options.source, options.background or [])
+    calibration = _calibration(options)
+    folders, left_out = _bundle_folders(options.source, options.background)
     left_out = [path for path in left_out if path.name not in (RIG, BACKGROUNDS)]
     started_at = datetime.now(UTC)
     reader = _ImageReader(calibration.cameras[0].image_size_px, options.bits, options.masks)
@@ -132,18 +140,55 @@ def export_command(
     _tell_left_out(console, left_out)
 
 
+def _calibration(options: ImportOptions) -> RigCalibration:
+    """Return the rig of the images; cameras of another program are described on stderr, for people to compare."""
+    if is_rig_file(options.rig):
+        if options.mm_per_unit is not None or options.origin is not None:
+            raise UsageError(f"{options.rig} is a rig file, in mm: leave --mm-per-unit and --origin out")
+        return read_rig(options.rig)
+    first = next(iter(camera_images(exposure_folders(options.source)[0][0])[0].values()))
+    height_px, width_px = read_image(first).pixels.shape
+    placement = Placement(mm_per_unit=options.mm_per_unit or 1.0, origin=_origin(options.origin))
+    rig = read_foreign_rig(options.rig, (width_px, height_px), placement)
+    cameras = camera_arrays(rig.cameras)
+    distances_mm = np.linalg.norm(cameras.centers_mm, axis=1)
+    misses_mm = np.linalg.norm(np.cross(cameras.centers_mm, cameras.R[:, 2]), axis=1)
+    fields_mm = rig.cameras[0].image_size_px[0] * distances_mm / cameras.focals_px
+    typer.echo(
+        f"{len(rig.cameras)} cameras, {placement}: {distances_mm.min():.1f} to {distances_mm.max():.1f} mm from it,"
+        f" which their axes pass by {misses_mm.max():.2f} mm at most; images there are {fields_mm.min():.1f} to"
+        f" {fields_mm.max():.1f} mm wide",
+        err=True,
+    )
+    return rig
+
+
+def _origin(text: str | None) -> tuple[float, float, float] | None:
+    """Return the point that an option names; None for the one nearest to the axes."""
+    if text == "axes":
+        return None
+    try:
+        x, y, z = map(float, (text or "0,0,0").split(","))
+    except ValueError as err:
+        raise typer.BadParameter(f"{text!r} is neither X,Y,Z nor axes", param_hint="--origin") from err
+    return x, y, z
+
+
 def _tell_left_out(console: Console, left_out: Iterable[str]) -> None:
     for problem in left_out:
         console.print(f"left out: {problem}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _bundle_folders(
-    source: Path, backgrounds: Sequence[str]
+    source: Path, backgrounds: Sequence[str] | None
 ) -> tuple[list[tuple[Path, BundleKind]], list[Path]]:
     """Return the folders in their order, those of the empty rig first, and the files beside them."""
     folders, files = exposure_folders(source)
+    if backgrounds is None:
+        listed = source / BACKGROUNDS
+        backgrounds = listed.read_text(encoding="utf-8").splitlines() if listed.is_file() else []
     if unknown := sorted(set(backgrounds) - {folder.name for folder in folders}):
-        raise UsageError(f"--background {unknown[0]}: {source} has no such folder")
+        raise UsageError(f"background {unknown[0]}: {source} has no such folder")
     kinds = [
         (folder, BundleKind.BACKGROUND if folder.name in backgrounds else BundleKind.PARTICLE)
         for folder in folders

@@ -7,6 +7,7 @@ import imagecodecs
 import numpy as np
 import pytest
 import tifffile
+import typer
 from support.recordings import CAMERAS, SIZE_PX, make_bundle, small_rig, tagged_image, write_recording
 from typer.testing import CliRunner
 
@@ -58,6 +59,9 @@ def test_import_and_export_are_inverse(source: Path, tmp_path: Path) -> None:
     for name in files_below(source):
         found, expected = (imagecodecs.png_decode((root / name).read_bytes()) for root in (back, source))
         assert np.array_equal(found, expected), name
+    import_command(back, tmp_path / "again", back / "rig.json")
+    again = open_recording(tmp_path / "again")
+    assert [header.kind for header in playback_order(again)] == [header.kind for header in headers]
 
 
 def test_export_leaves_damage_out_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,7 +117,7 @@ def test_wrong_images_are_named_and_nothing_is_written(
 
 def test_wrong_folders_are_named(source: Path, tmp_path: Path) -> None:
     rig, out = tmp_path / "rig.json", tmp_path / "rec"
-    with pytest.raises(UsageError, match=r"--background nothing: .* has no such folder"):
+    with pytest.raises(UsageError, match=r"background nothing: .* has no such folder"):
         import_command(source, out, rig, ["nothing"])
     (source / "stone 11").mkdir()
     with pytest.raises(RecordingError, match=r"stone 11: has no image <camera id>\.png"):
@@ -185,6 +189,37 @@ def test_deep_images_keep_their_upper_bits_and_their_depth_is_told(
         import_command(source, tmp_path / "more", tmp_path / "rig.json", ["empty"], bits=10)
 
 
+def test_cameras_of_another_program_are_placed_and_described(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Matrices in inches around another origin, without a size of images: the rig of the images again."""
+    origin_in = np.array([1.0, -2.0, 0.5])
+    lines = []
+    for camera in small_rig().cameras:
+        t_in = camera.t_mm / 25.4 - camera.R @ origin_in
+        lines.append(f"{camera.id}.png {' '.join(map(str, (camera.K @ np.c_[camera.R, t_in]).ravel()))}")
+    matrices = tmp_path / "p.txt"
+    matrices.write_text("\n".join(lines))
+    for number, origin in enumerate(("1,-2,0.5", "axes")):
+        out = tmp_path / f"rec{number}"
+        import_command(source, out, matrices, ["empty"], mm_per_unit=25.4, origin=origin)
+        rig = open_recording(out).rig
+        assert rig is not None
+        assert "4 cameras, 25.4 mm a unit" in (said := capsys.readouterr().err)
+        assert "300.0 to 300.0 mm from it, which their axes pass by 0.00 mm at most" in said
+        assert "images there are 61.4 to 61.4 mm wide" in said
+        for found, expected in zip(rig.cameras, small_rig().cameras, strict=True):
+            assert found.image_size_px == SIZE_PX
+            assert np.allclose(found.projection, expected.projection, atol=1e-6)
+    with pytest.raises(RecordingError, match=r"is 12 mm from the origin \(1 mm a unit, origin 0,0,0\)"):
+        import_command(source, tmp_path / "no", matrices)
+    with pytest.raises(UsageError, match=r"is a rig file, in mm: leave --mm-per-unit and --origin out"):
+        import_command(source, tmp_path / "no", tmp_path / "rig.json", origin="axes")
+    with pytest.raises(typer.BadParameter, match=r"'1,2' is neither X,Y,Z nor axes"):
+        import_command(source, tmp_path / "no", matrices, origin="1,2")
+    assert not (tmp_path / "no").exists()
+
+
 @pytest.mark.parametrize(("body", "wall"), [(255, 0), (0, 255), (1, 0), (30, 200)])
 def test_masks_are_imported_as_such_whichever_level_is_the_body(
     source: Path, tmp_path: Path, body: int, wall: int
@@ -210,8 +245,6 @@ def test_masks_are_imported_as_such_whichever_level_is_the_body(
 
 
 def test_the_command_lines(source: Path, tmp_path: Path) -> None:
-    import typer
-
     app = typer.Typer()
     app.command("import")(import_command)
     app.command("export")(export_command)
