@@ -20,6 +20,9 @@ CameraId = NewType("CameraId", str)
 CAMERA_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 """Form of a camera's id, which is part of file names and URLs."""
 
+ZONE = re.compile(r"\[[A-Za-z][A-Za-z0-9._+/-]*\]$")
+"""Name of a zone at the end of a time."""
+
 Image = NDArray[np.uint8]
 """Grey image (H, W), row major, pixel centres on integers, (u, v) = (column, row)."""
 
@@ -27,14 +30,15 @@ Image = NDArray[np.uint8]
 def rfc3339(moment: datetime | str, timespec: str = "milliseconds") -> str:
     """Return a moment as every file and every answer has it: RFC 3339 in UTC, so that text order is time order.
 
-    A text is any that ISO 8601 allows.
+    A text is any that ISO 8601 allows, in either case (RFC 3339, 5.6), and may name the zone after the offset as Java
+    does (RFC 9557): the offset decides.
 
     Raises
     ------
     ValueError
         The moment has no offset from UTC, or is out of range in UTC.
     """
-    given = datetime.fromisoformat(moment) if isinstance(moment, str) else moment
+    given = datetime.fromisoformat(ZONE.sub("", moment).upper()) if isinstance(moment, str) else moment
     if given.tzinfo is None:
         raise ValueError(f"time {str(moment)!r} has no offset from UTC")
     try:

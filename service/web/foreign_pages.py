@@ -12,6 +12,8 @@ from service.web.problems import Problem, problem_response
 from service.web.settings import ApiSettings
 
 READING = frozenset({"GET", "HEAD", "OPTIONS"})
+UNPACKED = frozenset({"identity", "", "utf-8", "utf8"})
+"""Content codings of a body that is not compressed; some clients give that of its characters in this place."""
 
 
 class ForeignPages:
@@ -44,7 +46,7 @@ class ForeignPages:
             detail = f"Content-Type must be application/json, not {media_type!r}"
             return Problem(415, "unsupported-media-type", detail)
         coding = request.headers.get("content-encoding", "identity")
-        if has_body and coding.strip().lower() != "identity":
+        if has_body and coding.strip().lower() not in UNPACKED:
             detail = f"a body must not be compressed: Content-Encoding is {coding!r}"
             return Problem(415, "unsupported-media-type", detail, headers={"Accept-Encoding": "identity"})
         return None

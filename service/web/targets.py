@@ -7,6 +7,10 @@ from starlette.datastructures import MutableHeaders
 from starlette.responses import RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.web.version import BASE
+
+JOINED = re.compile(f"/+({BASE[1:]})/+(.+)".encode())
+"""Path below an address that ends with a slash, to which a client has added paths that begin with one."""
 ABSOLUTE = re.compile(rb"https?://(?P<netloc>[^/@]+)(?P<path>/.*)?", re.IGNORECASE)
 
 
@@ -15,17 +19,30 @@ def answering_whole_addresses(app: ASGIApp) -> ASGIApp:
 
     async def answer(scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http" and (target := ABSOLUTE.fullmatch(scope["raw_path"])):
-            raw_path = target["path"] or b"/"
             others = [(name, value) for name, value in scope["headers"] if name != b"host"]
-            scope = {
-                **scope,
-                "raw_path": raw_path,
-                "path": unquote(raw_path.decode("ascii")),
-                "headers": [(b"host", target["netloc"]), *others],
-            }
+            headers = [(b"host", target["netloc"]), *others]
+            scope = {**_with_path(scope, target["path"] or b"/"), "headers": headers}
         await app(scope, receive, send)
 
     return answer
+
+
+def answering_joined(app: ASGIApp) -> ASGIApp:
+    """Ask `app` for the path of a target such as `/api/v1//results`.
+
+    Slashes further behind stay: between two of them a client has left out a name.
+    """
+
+    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http" and (target := JOINED.fullmatch(scope["raw_path"])):
+            scope = _with_path(scope, b"/%b/%b" % target.groups())
+        await app(scope, receive, send)
+
+    return answer
+
+
+def _with_path(scope: Scope, raw_path: bytes) -> Scope:
+    return {**scope, "raw_path": raw_path, "path": unquote(raw_path.decode("ascii"))}
 
 
 def answering_below(app: ASGIApp, prefix: str) -> ASGIApp:

@@ -106,6 +106,26 @@ async def test_a_target_that_is_a_whole_address_is_answered_as_its_path(
     assert (await client.reader.readline()).startswith(f"HTTP/1.1 {status} ".encode())
 
 
+@pytest.mark.parametrize(
+    ("target", "status"),
+    [
+        ("/api/v1//results", 200),
+        ("//api/v1/results", 200),
+        ("//api/v1///results?limit=1", 200),
+        ("http://localhost//api/v1//results", 200),
+        ("/api/v1//lots/x//close", 404),
+        ("/api/v1/particles//mesh.ply", 404),
+        ("/api/v1/", 404),
+        ("//results", 404),
+    ],
+)
+async def test_a_base_that_ends_with_a_slash_is_joined_to_paths_that_begin_with_one(
+    served: Served, target: str, status: int
+) -> None:
+    client = await served.connect(f"GET {target} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+    assert (await client.reader.readline()).startswith(f"HTTP/1.1 {status} ".encode())
+
+
 async def test_the_host_of_a_whole_address_counts_in_place_of_a_foreign_header(served: Served) -> None:
     client = await served.connect(
         LIVE.replace(b"GET ", b"GET http://127.0.0.1").replace(b"localhost", b"a.b")

@@ -56,6 +56,11 @@ async def test_what_is_made_is_found_where_location_says(proxied: httpx.AsyncCli
     assert (await proxied.get(f"https://{HOST}{PREFIX}{BASE}/lots/L-1", headers=key)).json()["lot"] == "L-1"
 
 
+async def test_a_doubled_slash_after_the_prefix_is_one(proxied: httpx.AsyncClient) -> None:
+    for path in (f"{PREFIX}//api/v1/health/live", f"{PREFIX}{BASE}//health/live"):
+        assert (await proxied.get(f"http://{HOST}{path}", headers=OVER_TLS)).status_code == 200
+
+
 async def test_the_document_names_the_prefix_as_its_server(proxied: httpx.AsyncClient) -> None:
     document = (await proxied.get("/openapi.json", headers=OVER_TLS)).json()
     assert [server["url"] for server in document["servers"]] == [PREFIX]

@@ -40,7 +40,7 @@ from service.web.request_ids import with_request_ids
 from service.web.routes import screens
 from service.web.sessions import Sessions
 from service.web.settings import ApiSettings
-from service.web.targets import answering_below, answering_whole_addresses
+from service.web.targets import answering_below, answering_joined, answering_whole_addresses
 from service.web.version import API_VERSION, BASE
 
 ROOMS = (
@@ -91,6 +91,7 @@ def create_app(
     app.add_middleware(in_pieces)
     app.add_middleware(answering_heads)
     app.add_middleware(with_request_ids)  # every answer has one
+    app.add_middleware(answering_joined)
     if settings.path_prefix:
         app.add_middleware(answering_below, prefix=settings.path_prefix)
     app.add_middleware(answering_whole_addresses)  # the outermost: all others see a path

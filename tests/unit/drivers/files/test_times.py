@@ -25,6 +25,36 @@ def test_a_moment_without_offset_or_out_of_range_is_refused() -> None:
         rfc3339(datetime.min.replace(tzinfo=timezone(timedelta(hours=1))))
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "2026-01-02T03:04:05Z",
+        "2026-01-02t03:04:05z",
+        "2026-01-02 03:04:05z",
+        "2026-01-02T05:04:05+02:00[Europe/Helsinki]",
+        "2026-01-02T03:04:05Z[Etc/GMT+2]",
+        "2026-W01-5T03:04:05Z",
+    ],
+)
+def test_texts_of_one_moment_are_equal(text: str) -> None:
+    assert rfc3339(text, "seconds") == "2026-01-02T03:04:05Z"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "2026-01-02T03:04:05[Europe/Berlin]",
+        "2026-01-02T03:04:05Z[",
+        "2026-01-02T03:04:05Z[]",
+        "[Europe/Berlin]",
+        "2026-01-02T05:04:05+01:00[!Europe/Helsinki]",
+    ],
+)
+def test_a_zone_alone_or_one_that_must_agree_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match=r"isoformat|no offset"):
+        rfc3339(text)
+
+
 def test_now_and_a_while_ago() -> None:
     before, earlier = utc_now(), utc_ago(2_000_000_000)
     assert earlier < before <= utc_now()
