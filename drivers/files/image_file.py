@@ -30,7 +30,7 @@ ORIENTATION = 274
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GreyImage:
+class DecodedImage:
     """A grey image as its file has it."""
 
     pixels: NDArray[Any]  # (H, W) uint8 or uint16
@@ -41,7 +41,7 @@ class GreyImage:
         return np.asarray(self.pixels >> max(bits - GREY_BITS, 0), np.uint8)
 
 
-def read_image(path: Path) -> GreyImage:
+def read_image(path: Path) -> DecodedImage:
     """Read an image; the content decides between PNG and TIFF, whatever the suffix.
 
     Colours that are all grey are, and so is an alpha channel that hides nothing.
@@ -68,7 +68,7 @@ def write_png(path: Path, image: Image) -> None:
     path.write_bytes(imagecodecs.png_encode(image, level=1))  # level 9 saves 5 % for ten times the work
 
 
-def _read_png(path: Path, content: bytes) -> GreyImage:
+def _read_png(path: Path, content: bytes) -> DecodedImage:
     try:
         chunks = dict(_png_chunks(content))
         header = chunks[b"IHDR"]
@@ -78,7 +78,7 @@ def _read_png(path: Path, content: bytes) -> GreyImage:
             _require_upright(path, _exif_orientation(chunks[b"eXIf"]))
     except (imagecodecs.PngError, ValueError, MemoryError, KeyError, struct.error) as err:
         raise RecordingError(path, f"is not a sound PNG: {err}") from err
-    return GreyImage(_grey(path, pixels), max(header[8], GREY_BITS))  # fewer are decoded to eight
+    return DecodedImage(_grey(path, pixels), max(header[8], GREY_BITS))  # fewer are decoded to eight
 
 
 def _png_chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
@@ -102,7 +102,7 @@ def _exif_orientation(exif: bytes) -> int:
     return 1
 
 
-def _read_tiff(path: Path, content: bytes) -> GreyImage:
+def _read_tiff(path: Path, content: bytes) -> DecodedImage:
     try:
         with tifffile.TiffFile(io.BytesIO(content)) as tiff:
             n_pages, page = len(tiff.pages), tiff.pages.first
@@ -127,7 +127,7 @@ def _read_tiff(path: Path, content: bytes) -> GreyImage:
         pixels = (1 << bits) - 1 - pixels
     if bits < GREY_BITS:
         pixels = (pixels * (255 // ((1 << bits) - 1))).astype(np.uint8)  # exact for 1, 2 and 4 bits
-    return GreyImage(pixels, max(bits, GREY_BITS))
+    return DecodedImage(pixels, max(bits, GREY_BITS))
 
 
 def _grey(path: Path, pixels: NDArray[Any]) -> NDArray[Any]:

@@ -53,6 +53,21 @@ def imported_mask(frame: Frame, background: BackgroundModel) -> Silhouette:
     return silhouette_of_mask(frame, frame.image > 127, FoundBy.MASK)
 
 
+def mask_of(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> GreyImage | None:
+    """Return the mask (H, W), 255 where the body is, that an image of two grey levels is; None if there are more.
+
+    The level of most of the image's border is the background. An image of one level is a mask without a body.
+    """
+    low, high = pixels.min(), pixels.max()
+    is_high = pixels == high
+    if not (is_high | (pixels == low)).all():
+        return None
+    if low == high:
+        return np.zeros(pixels.shape, np.uint8)
+    border = np.concatenate([is_high[0], is_high[-1], is_high[:, 0], is_high[:, -1]])
+    return np.where(is_high != (np.mean(border) > 0.5), np.uint8(255), np.uint8(0))
+
+
 def silhouette_of_mask(frame: Frame, mask: NDArray[np.bool_], found_by: FoundBy) -> Silhouette:
     """Return the silhouette of the largest contour of a mask (H, W), to whole pixels."""
     found, _ = cv2.findContours(mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

@@ -1,16 +1,14 @@
 """`stonefall import` and `export`: recordings from images and back, a folder for each bundle."""
 
 import sys
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
@@ -32,11 +30,11 @@ from pipeline.rig.camera_arrays import camera_arrays
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.foreign import Placement
 from service.base.errors import UsageError
+from service.commands.imported_images import ImageReader
 from service.commands.options import with_options
 
 RIG, BACKGROUNDS = "rig.json", "backgrounds.txt"
 """Files that `export` writes beside the folders of bundles."""
-MOST_BITS = 16
 SPACING_NS = 250_000_000
 EXPOSURE_DELAY_NS = 247_400_000
 TRANSFER_NS = 12_000_000
@@ -77,7 +75,7 @@ def import_command(options: ImportOptions) -> None:
     folders, left_out = _bundle_folders(options.source, options.background)
     left_out = [path for path in left_out if path.name not in (RIG, BACKGROUNDS)]
     started_at = datetime.now(UTC)
-    reader = _ImageReader(calibration.cameras[0].image_size_px, options.bits, options.masks)
+    reader = ImageReader(options.source, calibration.cameras[0].image_size_px, options.bits, options.masks)
     with RecordingWriter(
         options.out,
         RecordingSource(
@@ -194,70 +192,6 @@ def _bundle_folders(
         for folder in folders
     ]
     return sorted(kinds, key=lambda each: each[1] is not BundleKind.BACKGROUND), files
-
-
-class _ImageReader:
-    """Reads images of one size as 8 bits; counts how deep they were in `depths`."""
-
-    def __init__(self, size_px: tuple[int, int], bits: int | None, masks: bool) -> None:
-        self._size_px, self._bits, self._masks = size_px, bits, masks
-        self._greatest = 0  # level of the images of 16 bits
-        self.depths: Counter[int] = Counter()
-
-    def read(self, path: Path) -> Image:
-        """Return an image (H, W).
-
-        Raises
-        ------
-        RecordingError
-            As `read_image`; or it has another size, is a mask where a photograph is needed or a photograph where a
-            mask is, or a level is beyond the bits that the camera gave.
-        """
-        found = read_image(path)
-        if found.pixels.shape != self._size_px[::-1]:
-            height_px, width_px = found.pixels.shape
-            wanted = "x".join(map(str, self._size_px))
-            raise RecordingError(path, f"has {width_px}x{height_px} pixels; the rig's camera has {wanted}")
-        mask = mask_of(found.pixels)
-        if self._masks:
-            if mask is None:
-                raise RecordingError(path, "has more than two grey levels: with --masks all images are masks")
-            return mask
-        if mask is not None and mask.any():
-            raise RecordingError(
-                path, "has two grey levels only: it is a mask, not a photograph; `import --masks` takes masks"
-            )
-        bits = found.bits
-        if bits == MOST_BITS:
-            bits = self._bits or bits
-            self._greatest = max(self._greatest, int(found.pixels.max()))
-            if self._greatest >> bits:
-                raise RecordingError(path, f"has grey level {self._greatest}, which is more than {bits} bits")
-        self.depths[bits] += 1
-        return found.to_8_bits(bits)
-
-    def require_known_depth(self) -> None:
-        """Raise `UsageError` where files have 16 bits, and no pixel uses the upper four."""
-        if self.depths[MOST_BITS] and self._bits is None and self._greatest >> (MOST_BITS - 4) == 0:
-            raise UsageError(
-                f"images of 16 bits have no grey level above {self._greatest}: name what the camera gave, as with"
-                f" --bits {max(self._greatest.bit_length() + 1 & ~1, 10)}"
-            )
-
-
-def mask_of(pixels: NDArray[Any]) -> Image | None:
-    """Return the mask (H, W), 255 where the body is, that an image of two grey levels is; None if there are more.
-
-    The level of most of the image's border is the background. An image of one level is a mask without a body.
-    """
-    low, high = pixels.min(), pixels.max()
-    is_high = pixels == high
-    if not (is_high | (pixels == low)).all():
-        return None
-    if low == high:
-        return np.zeros(pixels.shape, np.uint8)
-    border = np.concatenate([is_high[0], is_high[-1], is_high[:, 0], is_high[:, -1]])
-    return np.where(is_high != (np.mean(border) > 0.5), np.uint8(255), np.uint8(0))
 
 
 def _bundle(

@@ -173,7 +173,7 @@ def test_deep_images_keep_their_upper_bits_and_their_depth_is_told(
         )
         path.unlink()
     if bits == 12:
-        with pytest.raises(UsageError, match=r"no grey level above 40\d\d: .*--bits 12"):
+        with pytest.raises(RecordingError, match=r"without a grey level above 40\d\d: .*--bits 12"):
             import_command(source, tmp_path / "rec", tmp_path / "rig.json", ["empty"])
         assert not (tmp_path / "rec").exists()
     capsys.readouterr()
