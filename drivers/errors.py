@@ -64,23 +64,47 @@ class DeviceFault(StrEnum):
         "gate_port_missing",
         "there is no such port: plug the gate in, and name it as under /dev/serial/by-id/",
     )
+    GATE_CLOCK_SHORT = (
+        "gate_clock_short",
+        "its clock has 32 bits and began again at 0, as it does every 71.6 minutes: it was counted on; let its firmware"
+        " send 64 bits, as the protocol asks, so that this is never taken for a restart",
+    )
+    GATE_LINES_UNKNOWN = (
+        "gate_lines_unknown",
+        "sent {lines} whole lines within the last minute that this version does not know, the last one"
+        ' "{reported}": they are left out; look at the firmware',
+    )
     GATE_PORT_DENIED = (
         "gate_port_denied",
-        "permission denied: the service's user must be in the group dialout",
+        "permission denied: the service's user must be in the group {group}, to which the port belongs",
     )
     GATE_PORT_TAKEN = "gate_port_taken", "is in use by another program"
     GATE_PORT_UNUSABLE = "gate_port_unusable", "cannot be opened: {reported}"
     GATE_NO_MODEM_LINES = "gate_no_modem_lines", "has no modem lines"
+    GATE_NO_CTS = (
+        "gate_no_cts",
+        "its port has no CTS (USB CDC shows it always on): wire the sensor to DSR or CD, or take another converter",
+    )
     GATE_GPIO_UNUSABLE = (
         "gate_gpio_unusable",
         "cannot be opened: {reported}; the chip must exist, the line be free, and the service's user in the group "
         "dialout",
     )
-    GATE_GPIOD_MISSING = "gate_gpiod_missing", "the Python package gpiod (2.x) is missing: install it"
+    GATE_GPIOD_MISSING = "gate_gpiod_missing", "the Python package gpiod is missing, or is 1.x: install 2.x"
     GATE_UNIDENTIFIED = (
         "gate_unidentified",
-        "sends no identity and status within {waited_s:g} s, but {damaged} damaged lines: check port, baud rate and "
-        "firmware",
+        "sends no identity and status within {waited_s:g} s ({damaged} damaged lines): check port, cable, power supply"
+        " and firmware",
+    )
+    GATE_NOISE = (
+        "gate_noise",
+        "sends damaged lines only: {damaged} and no valid one within {waited_s:g} s ({received_bytes} bytes): check"
+        " baud rate and parity, then ground and shield of its cable",
+    )
+    GATE_FOREIGN = (
+        "gate_foreign",
+        "sends text, but within {waited_s:g} s no line of the protocol that is read here, the last one"
+        ' "{reported}": check port and firmware',
     )
     GATE_MUTE = (
         "gate_mute",

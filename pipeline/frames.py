@@ -81,7 +81,8 @@ class GateCount:
 
     gate: str  # which one, as its driver tells them apart
     sequence: int  # as the gate counts
-    device_us: int  # its own time of that
+    device_us: int  # its own time of that, as it sent it
+    at: str | None = None  # RFC 3339, where a count is resumed and it is known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,6 +18,11 @@ def utc_ago(age_ns: int) -> str:
     return rfc3339(datetime.now(UTC) - timedelta(microseconds=age_ns / 1000))
 
 
+def ns_since(utc: str) -> int:
+    """Return the age of a time (RFC 3339), in ns; wrong by as much as the clock was set since."""
+    return round((datetime.now(UTC) - datetime.fromisoformat(utc)) / timedelta(microseconds=1) * 1000)
+
+
 def is_of_unset_clock(utc: str) -> bool:
     """True for a time (RFC 3339 in UTC) by a clock that had not been set since the host started."""
     return utc < rfc3339(EARLIEST)

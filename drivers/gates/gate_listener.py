@@ -2,7 +2,7 @@
 
 import logging
 from collections import deque
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, replace
 
 from drivers.errors import DeviceFault, Told, told
 from drivers.gates.edge_counter import CountedStep, EdgeCounter
@@ -16,9 +16,11 @@ from drivers.gates.gate_records import (
     Record,
     Status,
     TestPulse,
+    UnknownRecordError,
     Width,
 )
 from drivers.gates.gate_thread import trigger_at
+from drivers.gates.reception import GateCounters, Reception
 from drivers.interfaces import DeviceEvent, PulseEnded, TriggersIgnored, TriggersLost
 from pipeline.frames import BundleKind, GateCount, Trigger
 
@@ -30,22 +32,6 @@ LATE_NS = 200_000_000
 """Delay of a line above which it is counted as late; from 0.3 s on its stone's frames wait for it no longer."""
 RECENT_NS = 60_000_000_000
 """Time for which late lines and a restart are reported."""
-
-
-@dataclass(slots=True, kw_only=True)
-class GateCounters:
-    """Counts of the lines received from the gate since the driver was made, armed or not."""
-
-    lines: int = 0  # valid ones
-    garbage: int = 0  # damaged lines, and bytes between lines
-    edges: int = 0  # announced by the gate, without repeated lines
-    test_pulses: int = 0
-    bounces: int = 0  # edges merged by the host
-    ignored: int = 0  # edges merged by the gate
-    repeated: int = 0  # lines
-    missed: int = 0  # edges counted by the gate and never announced
-    restarts: int = 0  # of the gate
-    late: int = 0  # lines
 
 
 class GateListener:
@@ -66,8 +52,11 @@ class GateListener:
         self._ignored: int | None = None
         self._blocked_since_ns: int | None = None
         self._late_lines: deque[tuple[int, int]] = deque(maxlen=256)  # time and delay
+        self._unknown_lines: deque[tuple[int, str]] = deque(maxlen=256)  # time and text
         self._restarted_ns: int | None = None
+        self._is_clock_short = False
         self._counters = GateCounters()
+        self._reception = Reception()
         self._is_recognised = True
         self.identity: Identity | None = None
         self.n_statuses = 0
@@ -77,11 +66,11 @@ class GateListener:
         """A copy."""
         return replace(self._counters, garbage=self._counters.garbage + self._lines.n_discarded)
 
-    def resume(self, count: GateCount) -> None:
-        """Go on from the count of an earlier process, if the gate turns out to be the same."""
+    def resume(self, count: GateCount, host_ns: int | None) -> None:
+        """Go on from the count of an earlier process, at `host_ns`, if the gate turns out to be the same."""
         name, serial, version = count.gate.split(",")
         self.identity = Identity(name=name, serial=serial, version=version)
-        self._counter.resume(count.sequence, count.device_us)
+        self._counter.resume(count.sequence, count.device_us, host_ns)
 
     def reopen(self) -> None:
         """Forget what does not outlive a closed port: half a line, half a pulse, the offset of the clocks."""
@@ -90,6 +79,11 @@ class GateListener:
         self._filter.reset()
         self._blocked_since_ns = None
         self._is_recognised = False
+        self._reception.begin(self.counters.garbage)
+
+    def not_understood(self, waited_s: float) -> Told | None:
+        """Return the reason why what was received since the last valid line is none; None if it was nothing."""
+        return self._reception.problem(waited_s, self.counters.garbage)
 
     def blocked_s(self, now_ns: int) -> float:
         """Return for how long the beam has been closed, in s, by the gate's statuses."""
@@ -110,21 +104,33 @@ class GateListener:
             )
         if self._restarted_ns is not None and now_ns - self._restarted_ns < RECENT_NS:
             found.append(told(DeviceFault.GATE_RESTARTED))
+        if self._is_clock_short:
+            found.append(told(DeviceFault.GATE_CLOCK_SHORT))
+        unknown = [text for at_ns, text in self._unknown_lines if now_ns - at_ns < RECENT_NS]
+        if unknown:
+            found.append(told(DeviceFault.GATE_LINES_UNKNOWN, lines=len(unknown), reported=unknown[-1]))
         return found
 
     def hear(self, data: bytes, read_ns: int) -> list[DeviceEvent]:
         """Return the events of what was read at `read_ns`; damaged data is counted as garbage and never raises."""
         events: list[DeviceEvent] = []
+        self._reception.note(data)
         for line in self._lines.feed(data):
             try:
                 record = self._decode(line.text)
+            except UnknownRecordError as err:
+                self._counters.unknown += 1
+                self._unknown_lines.append((read_ns, line.text.decode("ascii", "replace").strip()))
+                log.debug("light gate: left out: %s", err)
             except ValueError as err:
                 self._counters.garbage += 1
                 log.debug("light gate: garbage: %s", err)
                 continue
+            else:
+                # the first byte of the line was sent no later than the bytes after it take
+                events += self._take(record, read_ns - line.age_bytes * self._byte_ns)
             self._counters.lines += 1
-            # the first byte of the line was sent no later than the bytes after it take
-            events += self._take(record, read_ns - line.age_bytes * self._byte_ns)
+            self._reception.begin(self.counters.garbage)
         return events + self.settle(read_ns)
 
     def settle(self, now_ns: int) -> list[DeviceEvent]:
@@ -150,16 +156,18 @@ class GateListener:
                 if self.identity not in (None, record):
                     log.warning("light gate was replaced: now %s, before %s", record, self.identity)
                     self._counter.forget()
+                    self._is_clock_short = False
                     self._begin_anew(ignored=None)
                 self.identity, self._is_recognised = record, True
                 return []
 
     def _take_edge(self, record: Edge | TestPulse, latest_ns: int) -> list[DeviceEvent]:
-        step = self._counter.edge(record.sequence, record.device_us)
+        step = self._counter.edge(record.sequence, record.device_us, latest_ns)
         if step.is_repeated:
             self._counters.repeated += 1
             return [TriggersIgnored(received_ns=latest_ns, count=1, reason="repeated")]
         events = self._account(step, latest_ns)
+        record = replace(record, device_us=step.device_us)
         device_ns = record.device_us * 1000
         received_ns = self._dated(device_ns, latest_ns)
         if isinstance(record, TestPulse):
@@ -174,8 +182,9 @@ class GateListener:
         )
 
     def _take_status(self, status: Status, latest_ns: int) -> list[DeviceEvent]:
-        events = self._account(self._counter.status(status.last_sequence, status.device_us), latest_ns)
-        self._dated(status.device_us * 1000, latest_ns)
+        step = self._counter.status(status.last_sequence, status.device_us, latest_ns)
+        events = self._account(step, latest_ns)
+        self._dated(step.device_us * 1000, latest_ns)
         if self._ignored is not None and (count := (status.ignored - self._ignored) % SEQUENCES):
             self._counters.ignored += count
             events.append(TriggersIgnored(received_ns=latest_ns, count=count, reason="bounce"))
@@ -209,6 +218,10 @@ class GateListener:
             self._begin_anew(ignored=None if step.missed is None else 0)
             missed = "an unknown number" if step.missed is None else step.missed
             log.warning("light gate was restarted, stones missed: %s; check its power supply", missed)
+        if step.has_wrapped:
+            self._counters.wraps += 1
+            self._is_clock_short = True
+            log.warning("light gate: its clock of 32 bits began again at 0; it is counted on")
         if not step.missed:
             return []
         self._counters.missed += step.missed
@@ -226,7 +239,8 @@ class GateListener:
         if record is None or self.identity is None:
             return trigger
         gate = ",".join(astuple(self.identity))
-        count = GateCount(gate=gate, sequence=record.sequence, device_us=record.device_us)
+        sent_us = self._counter.sent_us(record.device_us)
+        count = GateCount(gate=gate, sequence=record.sequence, device_us=sent_us)
         return replace(trigger, gate_count=count)
 
     def _event(self, pulse: Pulse, received_ns: int, sequence: int) -> DeviceEvent:

@@ -25,7 +25,10 @@ to the gate, without checksum
 - Lines leave in the order of what they tell: a status counts no edge whose line comes after it.
 - Debounce in the gate: an edge that follows the opening of the beam within the debounce time belongs to the
   same stone. It triggers no camera, gets no number, and raises `ignored` (32 bits, from 0, wraps).
-- A host may open the port at any moment: a board that restarts then (DTR) forgets what it counted meanwhile.
+- A host may open the port at any moment: a board that restarts then (DTR) forgets what it counted meanwhile. The
+  host leaves DTR and RTS up when it closes the port, so only the first opening after plugging in can restart it.
+
+- Lines of other types, whole ones, are left out and reported: they may be of a later version.
 
 The trigger line of the cameras is wired to the gate; nothing here is in that path. 115200 baud, 8N1, no flow
 control; a board with native USB has no baud rate, tell the host 4000000.
@@ -45,6 +48,7 @@ from drivers.gates.gate_records import (
     Record,
     Status,
     TestPulse,
+    UnknownRecordError,
     Width,
 )
 
@@ -75,7 +79,9 @@ def decode(line: bytes) -> Record:
     Raises
     ------
     ValueError
-        The line is damaged or no record; says what is wrong with it.
+        The line is damaged; says what is wrong with it.
+    UnknownRecordError
+        Its checksum is right, and it is no record.
     """
     found = _LINE.fullmatch(line.removesuffix(b"\n").removesuffix(b"\r"))
     if found is None:
@@ -84,6 +90,13 @@ def decode(line: bytes) -> Record:
     if b"%04X" % checksum(body) != crc:
         raise ValueError(f"checksum is {crc.decode()}, should be {checksum(body):04X}: {line!r}")
     letter, *fields = body.decode("ascii", "replace").split(",")
+    try:
+        return _record(letter, fields)
+    except ValueError as err:
+        raise UnknownRecordError(f"{err}: {line!r}") from err
+
+
+def _record(letter: str, fields: list[str]) -> Record:
     match letter, fields:
         case "E", [sequence, us]:
             return Edge(_count(sequence), _microseconds(us))
@@ -100,7 +113,7 @@ def decode(line: bytes) -> Record:
             )
         case "I", [name, serial, version]:
             return Identity(name=_name(name), serial=_name(serial), version=_name(version))
-    raise ValueError(f"unknown record: {line!r}")
+    raise ValueError("unknown record")
 
 
 def checksum(body: bytes) -> int:

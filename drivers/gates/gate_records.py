@@ -63,6 +63,10 @@ class Line(NamedTuple):
     age_bytes: int  # how many bytes came from its first one on, that included
 
 
+class UnknownRecordError(ValueError):
+    """A line that arrived whole, and holds no record that its protocol knows: a limit of the reader, not damage."""
+
+
 class Splitter(Protocol):
     """Cuts what is read from the port into lines, or whatever holds one record."""
 
@@ -87,4 +91,7 @@ class GateProtocol(NamedTuple):
     """Command: trigger the cameras once."""
     splitter: Callable[[], Splitter]
     decode: Callable[[bytes], Record]
-    """Returns the record of a line; raises `ValueError`, with what is wrong, for a damaged one."""
+    """Returns the record of a line; raises `ValueError`, with what is wrong, for a damaged one.
+
+    `UnknownRecordError` for a whole one that is no record.
+    """

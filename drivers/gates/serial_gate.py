@@ -9,11 +9,13 @@ from dataclasses import dataclass
 
 import serial
 
-from drivers.errors import DeviceFault, told
-from drivers.gates.gate_listener import GateCounters, GateListener
+from drivers.errors import DeviceFault, Told, told
+from drivers.files.times import ns_since
+from drivers.gates.gate_listener import GateListener
 from drivers.gates.gate_protocol import STONEFALL
 from drivers.gates.gate_records import GateProtocol, Identity
-from drivers.gates.gate_thread import GateThread, port_problem
+from drivers.gates.gate_thread import GateThread, keep_port, port_problem
+from drivers.gates.reception import GateCounters
 from drivers.interfaces import DeviceEvent, EventSink, TriggersLost
 from pipeline.frames import BundleKind, GateCount, Trigger
 
@@ -68,6 +70,7 @@ class SerialGate:
         self._listener = GateListener(protocol, baud=settings.baud, debounce_ns=settings.debounce_us * 1000)
         self._heard = threading.Condition()  # guards the listener and all below
         self._heard_ns = 0
+        self._is_answered = False  # since it was opened; only then silence is a loss
         self._is_owed = False  # the gate was armed and not disarmed before it was lost: report what it counts
         self._n_owed = 0
         self._was_down = False  # an earlier process had armed it
@@ -94,8 +97,9 @@ class SerialGate:
 
     def resume(self, count: GateCount, n_known: int) -> None:
         """Go on from the count of an earlier process that was killed while the gate was armed."""
+        host_ns = None if count.at is None else time.monotonic_ns() - ns_since(count.at)
         with self._heard:
-            self._listener.resume(count)
+            self._listener.resume(count, host_ns)
             self._is_owed, self._n_owed, self._was_down = True, -n_known, True
 
     def open(self) -> None:
@@ -106,21 +110,20 @@ class SerialGate:
         port = self._port = self._connect()
         with self._heard:
             self._listener.reopen()
-            self._heard_ns = time.monotonic_ns()
+            self._is_answered = False
         self._thread.start(lambda: self._turn(port))
-        deadline_s = time.monotonic() + self._settings.answer_timeout_s
+        deadline_s, n_damaged = time.monotonic() + self._settings.answer_timeout_s, self.counters.garbage
         try:
             while not self._answers(self._protocol.identify, lambda: self._listener.n_statuses, ASK_AGAIN_S):
                 if self._thread.failure is not None:
                     raise self._thread.error(self._thread.failure)
                 if time.monotonic() > deadline_s:
-                    waited_s, damaged = self._settings.answer_timeout_s, self.counters.garbage
-                    raise self._thread.error(
-                        told(DeviceFault.GATE_UNIDENTIFIED, waited_s=waited_s, damaged=damaged)
-                    )
+                    raise self._thread.error(self._unidentified(n_damaged))
         except BaseException:
             self.close()
             raise
+        with self._heard:
+            self._heard_ns, self._is_answered = time.monotonic_ns(), True
 
     def arm(self, sink: EventSink) -> None:
         """Deliver to `sink` from now on; first the stones that were counted since an armed gate was lost."""
@@ -164,7 +167,7 @@ class SerialGate:
 
     def _connect(self) -> serial.Serial:
         try:
-            return serial.Serial(
+            port = serial.Serial(
                 self._settings.port,
                 self._settings.baud,
                 timeout=READ_S,
@@ -172,7 +175,19 @@ class SerialGate:
                 exclusive=True,
             )
         except (OSError, ValueError, termios.error) as err:  # SerialException is an OSError
-            raise self._thread.error(port_problem(err)) from err
+            raise self._thread.error(port_problem(err, self._settings.port)) from err
+        keep_port(port.fileno())
+        return port
+
+    def _unidentified(self, n_damaged: int) -> Told:
+        """Return the reason why the gate did not answer; `n_damaged` damaged lines were counted before."""
+        waited_s = self._settings.answer_timeout_s
+        with self._heard:
+            return self._listener.not_understood(waited_s) or told(
+                DeviceFault.GATE_UNIDENTIFIED,
+                waited_s=waited_s,
+                damaged=self._listener.counters.garbage - n_damaged,
+            )
 
     def _answers(self, command: bytes, count: Callable[[], int], timeout_s: float) -> bool:
         """Send a command; returns whether `count` increased within `timeout_s`."""
@@ -198,8 +213,10 @@ class SerialGate:
             if self._listener.counters.lines > n_lines:
                 self._heard_ns = now_ns
             self._heard.notify_all()
-        if now_ns - self._heard_ns > self._settings.silence_s * 1e9:
-            raise self._thread.error(told(DeviceFault.GATE_MUTE, silent_s=self._settings.silence_s))
+        silence_s = self._settings.silence_s
+        if self._is_answered and now_ns - self._heard_ns > silence_s * 1e9:
+            noise = self._listener.not_understood(silence_s)
+            raise self._thread.error(noise or told(DeviceFault.GATE_MUTE, silent_s=silence_s))
 
     def _hand_over(self, event: DeviceEvent) -> None:
         """Deliver an event, or count the stones it stands for until the gate is armed again."""

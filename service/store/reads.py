@@ -65,7 +65,10 @@ def gate_count(connection: sqlite3.Connection) -> tuple[GateCount, int] | None:
     noted = json.loads(row[0])
     newest = noted.pop("trigger")
     (n_since,) = connection.execute("SELECT total(n) FROM triggers WHERE trigger > ?", (newest,)).fetchone()
-    return GateCount(**noted), int(n_since)
+    (at,) = connection.execute(
+        "SELECT max(captured_at) FROM triggers WHERE trigger = ?", (newest,)
+    ).fetchone()
+    return GateCount(**noted, at=at), int(n_since)
 
 
 def results_after(connection: sqlite3.Connection, seq: int, limit: int) -> HistoryPage:

@@ -116,7 +116,10 @@ def note_gate_count(connection: sqlite3.Connection, session: int, count: GateCou
     None: nothing is missed of what the gate counts from now on.
     """
     (newest,) = connection.execute("SELECT max(trigger) FROM triggers").fetchone()
-    noted = None if count is None else {**asdict(count), "trigger": newest}
+    noted = None
+    if count is not None:
+        noted = {**asdict(count), "trigger": newest}
+        del noted["at"]  # it is that of the trigger
     connection.execute(
         "UPDATE sessions SET info = json_set(info, '$.gate_count', json(?)) WHERE session = ?",
         (json.dumps(noted), session),

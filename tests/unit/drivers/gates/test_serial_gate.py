@@ -1,6 +1,9 @@
 import errno
+import grp
 import os
 import random
+import termios
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +14,9 @@ from support.pty_gate import PtyGate, pty_settings, serial_gate
 from support.sinks import Collector
 
 from drivers.errors import GateUnavailableError
-from drivers.gates.gate_protocol import encode
+from drivers.gates.gate_protocol import checksum, encode
 from drivers.gates.gate_records import Edge, Identity
-from drivers.gates.gate_thread import port_problem
+from drivers.gates.gate_thread import keep_port, port_problem
 from drivers.gates.serial_gate import SerialGate, SerialGateSettings
 from drivers.interfaces import GateLost, PulseEnded, TriggersIgnored, TriggersLost
 from pipeline.frames import BundleKind, GateCount, Trigger
@@ -286,8 +289,133 @@ def test_a_port_belongs_to_one(gate: SerialGate, settings: SerialGateSettings) -
         SerialGate(settings).open()
 
 
-def test_a_port_of_others_says_which_group_to_join() -> None:
-    assert "group dialout" in port_problem(PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
+def test_a_port_of_others_says_which_group_to_join(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    denied = PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    assert "the group dialout, to which" in port_problem(denied, str(tmp_path / "unreadable" / "port"))
+    (port := tmp_path / "port").touch()
+    groups = {port.stat().st_gid: "plugdev"}
+    monkeypatch.setattr("grp.getgrgid", lambda gid: grp.struct_group((groups[gid], "x", gid, [])))
+    assert "the group plugdev, to which" in port_problem(
+        denied, str(port)
+    )  # some give their ports to another one
+    groups.clear()
+    assert f"the group {port.stat().st_gid}, to which" in port_problem(denied, str(port))
+
+
+def test_closing_a_port_leaves_its_lines_up(device: PtyGate, gate: SerialGate) -> None:
+    """DTR that falls at each end of the daemon resets many boards, with all that they had counted."""
+    fd = os.open(device.link, os.O_RDWR | os.O_NOCTTY)
+    try:
+        mode = termios.tcgetattr(fd)
+        mode[2] |= termios.HUPCL
+        termios.tcsetattr(fd, termios.TCSANOW, mode)
+        gate.open()
+        gate.close()
+        assert not termios.tcgetattr(fd)[2] & termios.HUPCL
+    finally:
+        os.close(fd)
+
+
+@pytest.mark.parametrize("is_pty", [False, True])
+def test_no_other_program_may_read_the_port(
+    device: PtyGate, monkeypatch: pytest.MonkeyPatch, is_pty: bool
+) -> None:
+    """A pseudo-terminal would keep the mark for the next process."""
+    asked: list[int] = []
+    monkeypatch.setattr("fcntl.ioctl", lambda _, request: asked.append(request))
+    if not is_pty:
+        monkeypatch.setattr("drivers.gates.gate_thread.PTY_MAJORS", range(0))
+    fd = os.open(device.link, os.O_RDWR | os.O_NOCTTY)
+    try:
+        keep_port(fd)
+    finally:
+        os.close(fd)
+    assert asked == [] if is_pty else [termios.TIOCEXCL]
+
+
+def test_a_port_that_cannot_be_kept_is_used_as_it_is(tmp_path: Path) -> None:
+    with (tmp_path / "file").open("w") as file:
+        keep_port(file.fileno())
+
+
+NOISE = bytes([0xFF, 0x80, 0xF8, 0x7C, 0x1E, 0x06])
+FOREIGN = b"beam broken, 17 objects\r\n"
+
+
+@pytest.mark.parametrize(
+    ("sent", "problem"),
+    [
+        (NOISE * 30 + b"\n", "sends damaged lines only: [1-9][0-9]* and no valid one within 0.3 s"),
+        (NOISE, "sends damaged lines only: [0-9]+ and no valid one"),  # no line end is among it
+        (FOREIGN, 'sends text, but within 0.3 s no line of the protocol.*"beam broken, 17 objects"'),
+        (b"$S,1,2,0,0*abcd\r", r'sends text, but .*"\$S,1,2,0,0\*abcd"'),
+        (b"", r"sends no identity and status within 0.3 s \(0 damaged lines\)"),
+    ],
+)
+def test_what_cannot_be_read_is_no_silence_when_it_is_opened(
+    device: PtyGate, settings: SerialGateSettings, sent: bytes, problem: str
+) -> None:
+    device.answers = False
+    gate = SerialGate(replace(settings, answer_timeout_s=0.3, silence_s=1.01))
+    for _ in range(2):  # the damaged lines of one opening are none of the next
+        sending = threading.Event()
+        sender = threading.Thread(target=send_until, args=(sending, device, sent))
+        sender.start()
+        try:
+            with pytest.raises(GateUnavailableError, match=problem):
+                gate.open()
+        finally:
+            sending.set()
+            sender.join()
+
+
+def send_until(stopping: threading.Event, device: PtyGate, data: bytes) -> None:
+    while not stopping.wait(0.02):
+        device.send_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("sent", "problem"),
+    [(NOISE * 30, "sends damaged lines only"), (FOREIGN, "sends text"), (b"", "has sent nothing for 1.1 s")],
+)
+def test_what_cannot_be_read_is_no_silence_of_an_armed_gate(
+    device: PtyGate, settings: SerialGateSettings, sent: bytes, problem: str
+) -> None:
+    gate = SerialGate(replace(settings, silence_s=1.1))
+    sending = threading.Event()
+    sender = threading.Thread(target=send_until, args=(sending, device, sent))
+    try:
+        gate.open()
+        gate.arm(sink := Collector())
+        sender.start()
+        lost = sink.next()
+        assert isinstance(lost, GateLost)
+        assert problem in lost.reason
+    finally:
+        sending.set()
+        sender.join()
+        gate.close()
+
+
+def test_opening_waits_its_own_time_and_no_silence(device: PtyGate, settings: SerialGateSettings) -> None:
+    """However the two times are set, an opening that fails says that the gate did not answer."""
+    device.answers = False
+    gate = SerialGate(replace(settings, answer_timeout_s=1.3, silence_s=1.1))
+    with pytest.raises(GateUnavailableError, match=r"sends no identity and status within 1\.3 s"):
+        gate.open()
+
+
+def test_whole_lines_of_another_version_are_left_out_and_named(
+    device: PtyGate, gate: SerialGate, sink: Collector
+) -> None:
+    for body in (b"V,24.1,3.3", b"E,007,12"):  # a record to come, and a number out of form
+        device.send_bytes(b"$%b*%04X\r\n" % (body, checksum(body)))
+    device.edge()
+    assert isinstance(sink.next(), Trigger)
+    assert (gate.counters.unknown, gate.counters.garbage) == (2, 0)
+    (warning,) = [text for text in gate.warnings if "does not know" in text]
+    assert "sent 2 whole lines within the last minute" in warning
+    assert '"$E,007,12*' in warning
 
 
 def test_what_is_no_port_is_refused(tmp_path: Path) -> None:

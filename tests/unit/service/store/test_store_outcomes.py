@@ -94,7 +94,9 @@ async def test_a_file_that_was_deleted_is_left_out_of_its_result(
 
 
 async def test_the_count_of_the_gate_is_that_of_the_newest_session_that_knows_one(state_dir: Path) -> None:
-    first, second = (GateCount(gate="a,b,1", sequence=n, device_us=1000 * n) for n in (7, 9))
+    first, second = (
+        GateCount(gate="a,b,1", sequence=n, device_us=1000 * n, at=rfc3339(trigger(n).utc)) for n in (7, 9)
+    )
     with await asyncio.to_thread(open_store, state_dir) as store:
         session = await store.begin_session({})
         assert await store.read(gate_count) is None
@@ -440,7 +442,7 @@ async def test_a_removed_entry_with_a_number_is_still_counted(store: Store, sess
 
 
 async def test_a_kill_before_its_outcome_loses_none_of_its_stones(state_dir: Path) -> None:
-    count = GateCount(gate="a,b,1", sequence=7, device_us=7)
+    count = GateCount(gate="a,b,1", sequence=7, device_us=7, at=rfc3339(trigger(1).utc))
     with await asyncio.to_thread(open_store, state_dir) as store:
         session = await store.begin_session({})
         await store.record_triggers(session, {"1": trigger(1)}, count)
