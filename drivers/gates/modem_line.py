@@ -17,16 +17,21 @@ import termios
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
 from drivers.errors import DeviceFault, told
-from drivers.gates.gate_thread import port_problem
+from drivers.gates.gate_thread import keep_port, port_problem
 from drivers.gates.line_gate import LineGate
 
 LOOK_S = 0.001
 """Interval of polling."""
 COUNTS = 1 << 32
 """How many values the kernel's counters have before they start again at 0."""
+NO_MODEM_LINES = (errno.ENOTTY, errno.EINVAL, errno.EOPNOTSUPP)
+"""Answers of ports without modem lines; those of USB gadgets say EINVAL."""
+CDC_NAME = "ttyACM"
+"""Ports of USB's own class, CDC ACM: it transmits DSR, CD and RI, and its driver reports CTS as always on."""
 COUNTER_WORDS = 20
 """Length of the kernel's `serial_icounter_struct` in 32-bit words; the first four are cts, dsr, rng, dcd."""
 
@@ -84,6 +89,7 @@ class TtyLine:
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._last = self._read(self._count_if_it_can())
+            keep_port(self._fd)  # a sensor may be fed by DTR or RTS
         except BaseException:
             self.close()
             raise
@@ -151,14 +157,15 @@ class ModemLineGate(LineGate):
         raise self._thread.error("cannot trigger the cameras")
 
     def _connect(self) -> Callable[[], None]:
+        if self._settings.line == "CTS" and Path(self._settings.port).resolve().name.startswith(CDC_NAME):
+            raise self._thread.error(told(DeviceFault.GATE_NO_CTS))
         try:
             line = self._held = self._open_line(self._settings)
             first = line.look()
         except (OSError, ValueError) as err:
-            is_no_port = isinstance(err, OSError) and err.errno == errno.ENOTTY
-            raise self._thread.error(
-                told(DeviceFault.GATE_NO_MODEM_LINES) if is_no_port else port_problem(err)
-            ) from err
+            if isinstance(err, OSError) and err.errno in NO_MODEM_LINES:
+                raise self._thread.error(told(DeviceFault.GATE_NO_MODEM_LINES)) from err
+            raise self._thread.error(port_problem(err, self._settings.port)) from err
         between = EdgesBetween(first)
         return lambda: self._turn(line, between)
 

@@ -217,8 +217,12 @@ class SimulatedGate:
         with self._lock:
             if not self._is_powered:
                 return
+            self._plan(time.monotonic_ns() + STATUS_NS, self._tell_status)
+            self._say_status()
+
+    def _say_status(self) -> None:
+        with self._lock:
             now_ns = time.monotonic_ns()
-            self._plan(now_ns + STATUS_NS, self._tell_status)
             self._say(
                 Status(
                     device_us=self._microseconds(now_ns),
@@ -254,6 +258,7 @@ class SimulatedGate:
                 self.test_pulse(now_ns)
             elif command + b"\n" == IDENTIFY:
                 self._say(Identity(name="stonefall-simulated-gate", serial=self._design.serial, version="1"))
+                self._say_status()
 
     # --- the thread, which alone uses the port ---
 

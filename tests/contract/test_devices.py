@@ -3,15 +3,17 @@
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.bare_lines import FakeLine, FakeLines
 from support.gige import gige_rig
-from support.pty_gate import serial_gate
+from support.pty_gate import pty_settings, serial_gate
 from support.recordings import CAMERAS, make_bundle, tagged_image, write_recording
 from support.sinks import Collector
 
@@ -20,10 +22,16 @@ from drivers.errors import CameraUnavailableError, GateUnavailableError
 from drivers.factory import ARAVIS, Devices, ReplayBackend, build_devices
 from drivers.faulty.faults import FaultPlan
 from drivers.gates.firing import FiringGate
+from drivers.gates.gpio import ECHO_NS, GpioGate, GpioGateSettings
+from drivers.gates.modem_line import ModemLineGate, ModemLineSettings
+from drivers.gates.serial_gate import SerialGate
+from drivers.gige_simulator.gate import GateDesign, SimulatedGate
 from drivers.interfaces import Camera, CameraVitals, LightGate
 from pipeline.frames import BundleKind, CameraId, Frame, Trigger
 
 N_BUNDLES = 12
+STAYS_NS = 60_000_000_000
+"""A stone closes the beam for longer than a test takes: the end of its pulse is not waited for."""
 PLANS = {"replay": None, "faulty": FaultPlan(seed=1)}
 
 
@@ -228,7 +236,7 @@ class GateBench:
     """Whether it can trigger the cameras without a stone."""
 
 
-@pytest.fixture(params=[*PLANS, "serial", "firing"])
+@pytest.fixture(params=[*PLANS, "serial", "firing", "simulated", "gpio", "modem line"])
 def gate_bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[GateBench]:
     if request.param in PLANS:
         devices = replayed_devices(tmp_path, request.param)
@@ -236,9 +244,53 @@ def gate_bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[GateB
         yield GateBench(devices.gate, devices.belt.step, devices.clock, can_expose=False)
         devices.gate.close()
         return
-    with serial_gate(tmp_path / "gate") as (gate, device):
-        yield GateBench(FiringGate(gate, lambda: None) if request.param == "firing" else gate, device.edge)
-        gate.close()
+    with LIVE_GATES[request.param](tmp_path / "gate") as live:
+        yield live
+        live.gate.close()
+
+
+@contextmanager
+def simulated_bench(link: Path) -> Iterator[GateBench]:
+    simulated = SimulatedGate(GateDesign(link=link), pulse=lambda _: None, empty_rig=lambda _: None)
+    simulated.open()
+    yield GateBench(
+        SerialGate(pty_settings(link)), lambda: simulated.interrupt(time.monotonic_ns(), STAYS_NS)
+    )
+    simulated.close()
+
+
+@contextmanager
+def gpio_bench(_: Path) -> Iterator[GateBench]:
+    settings = GpioGateSettings(chip="/dev/gpiochip9", line="gate", test_line=5, debounce_us=0)
+    lines = FakeLines()
+
+    def drop() -> None:
+        time.sleep(2 * ECHO_NS / 1e9)  # no echo of a test pulse
+        lines.edges((True, now_ns := time.monotonic_ns()), (False, now_ns))
+
+    yield GateBench(GpioGate(settings, lambda _: lines), drop)
+
+
+@contextmanager
+def modem_line_bench(_: Path) -> Iterator[GateBench]:
+    line = FakeLine()
+    gate = ModemLineGate(ModemLineSettings(port="/dev/gate", debounce_us=0), lambda _: line)
+    yield GateBench(gate, lambda: line.switch(times=2), can_expose=False)
+
+
+@contextmanager
+def serial_bench(link: Path, *, is_firing: bool = False) -> Iterator[GateBench]:
+    with serial_gate(link) as (gate, device):
+        yield GateBench(FiringGate(gate, lambda: None) if is_firing else gate, device.edge)
+
+
+LIVE_GATES: Mapping[str, Callable[[Path], AbstractContextManager[GateBench]]] = {
+    "serial": serial_bench,
+    "firing": partial(serial_bench, is_firing=True),
+    "simulated": simulated_bench,
+    "gpio": gpio_bench,
+    "modem line": modem_line_bench,
+}
 
 
 class TestGateContract:

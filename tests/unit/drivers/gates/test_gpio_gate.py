@@ -1,62 +1,20 @@
-import errno
-import os
-import queue
+import sys
 import time
-from collections.abc import Iterator, Sequence
+import types
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
+from support.bare_lines import FakeLines
 from support.sinks import Collector
 
 from drivers.errors import GateUnavailableError
-from drivers.gates.gpio import GpioGate, GpioGateSettings, LineEdge
+from drivers.gates.gpio import GpioGate, GpioGateSettings
 from drivers.interfaces import GateLost, PulseEnded, TriggersIgnored, TriggersLost
 from pipeline.frames import BundleKind, Trigger
 
 MS = 1_000_000
 SETTINGS = GpioGateSettings(chip="/dev/gpiochip9", line="gate", test_line=5, test_pulse_us=500)
-
-
-class FakeLines:
-    """Lines of a chip; the test makes the edges, at times of its own."""
-
-    def __init__(self) -> None:
-        self.n_edges = 0
-        self.driven: list[tuple[int | str, bool]] = []
-        self.is_closed = False
-        self.echoes = False
-        self.drive_s = 0.0
-        """For how long the machine is busy with other things before the line is set."""
-        self._read: queue.Queue[list[LineEdge] | OSError] = queue.Queue()
-
-    def edge(self, is_closed: bool, at_ns: int) -> None:
-        self.edges((is_closed, at_ns))
-
-    def edges(self, *edges: tuple[bool, int]) -> None:
-        """Make several edges that are read at once."""
-        self._read.put([LineEdge(*edge, self.n_edges + number) for number, edge in enumerate(edges, start=1)])
-        self.n_edges += len(edges)
-
-    def vanish(self) -> None:
-        self._read.put(OSError(errno.ENODEV, os.strerror(errno.ENODEV)))
-
-    def wait(self, timeout_s: float) -> Sequence[LineEdge]:
-        try:
-            read = self._read.get(timeout=timeout_s)
-        except queue.Empty:
-            return []
-        if isinstance(read, OSError):
-            raise read
-        return read
-
-    def drive(self, line: int | str, *, is_active: bool) -> None:
-        self.driven.append((line, is_active))
-        time.sleep(self.drive_s)
-        if self.echoes:
-            self.edge(is_active, time.monotonic_ns())
-
-    def close(self) -> None:
-        self.is_closed = True
 
 
 @pytest.fixture
@@ -117,6 +75,27 @@ def test_edges_the_kernel_dropped_are_lost_stones(
     trigger = sink.next()
     assert isinstance(trigger, Trigger)
     assert trigger.sequence == 1 + n_stones
+
+
+def test_two_openings_in_a_row_are_a_stone_that_one_interrupt_hid(lines: FakeLines, sink: Collector) -> None:
+    lines.edges((True, 0), (False, 55 * MS), (False, 300 * MS), (True, 600 * MS))
+    events = [sink.next() for _ in range(4)]
+    assert [type(event) for event in events] == [Trigger, PulseEnded, TriggersLost, Trigger]
+    assert isinstance(events[2], TriggersLost)
+    assert (events[2].count, "one interrupt" in events[2].reason) == (1, True)
+    assert isinstance(events[3], Trigger)
+    assert events[3].sequence == 2
+
+
+def test_a_second_opening_within_the_debounce_time_is_a_bounce(lines: FakeLines, sink: Collector) -> None:
+    lines.edges((False, -900 * MS), (True, 0), (False, 55 * MS), (False, 57 * MS), (True, 600 * MS))
+    assert [type(sink.next()) for _ in range(3)] == [Trigger, PulseEnded, Trigger]
+
+
+def test_two_closings_in_a_row_are_two_stones(lines: FakeLines, sink: Collector) -> None:
+    lines.edges((True, 0), (True, 300 * MS), (False, 355 * MS), (True, 600 * MS))
+    events = [sink.next() for _ in range(4)]
+    assert [type(event) for event in events] == [Trigger, Trigger, PulseEnded, Trigger]
 
 
 def test_a_chip_that_vanishes_is_a_loss(lines: FakeLines, gate: GpioGate, sink: Collector) -> None:  # D9
@@ -201,3 +180,9 @@ def test_a_chip_that_is_not_there_is_refused_by_the_real_library() -> None:
 def test_settings_that_cannot_work_are_refused(changes: dict[str, object], problem: str) -> None:
     with pytest.raises(ValueError, match=problem):
         replace(SETTINGS, **changes)
+
+
+def test_the_library_of_another_version_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gpiod", types.ModuleType("gpiod"))  # 1.x has neither line nor EdgeEvent
+    with pytest.raises(GateUnavailableError, match=r"gpiod is missing, or is 1\.x: install 2\.x"):
+        GpioGate(SETTINGS).open()

@@ -1,12 +1,12 @@
 import errno
 import os
-import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.eventually import PATIENCE_S
+from support.bare_lines import FakeLine
 from support.sinks import Collector
 
 from drivers.errors import GateUnavailableError
@@ -15,38 +15,6 @@ from drivers.interfaces import GateLost, PulseEnded, TriggersIgnored
 from pipeline.frames import Trigger
 
 MS = 1_000_000
-
-
-class FakeLine:
-    """A line switched by the test; every `look` of the gate sees what was scripted since the last one."""
-
-    def __init__(self, *, counts: bool = True, is_on: bool = False) -> None:
-        self.is_on = is_on
-        self.n_edges = COUNTS - 3 if counts else None  # about to wrap
-        self.is_gone = False
-        self.is_closed = False
-        self._looked = threading.Condition()
-        self._n_looks = 0
-
-    def switch(self, times: int = 1) -> None:
-        """Change so often, and wait until the gate has looked again."""
-        with self._looked:
-            self.is_on ^= times % 2 == 1
-            if self.n_edges is not None:
-                self.n_edges = (self.n_edges + times) % COUNTS
-            seen = self._n_looks
-            assert self._looked.wait_for(lambda: self._n_looks > seen + 1, PATIENCE_S)
-
-    def look(self) -> Look:
-        with self._looked:
-            if self.is_gone:
-                raise OSError(errno.EIO, os.strerror(errno.EIO))
-            self._n_looks += 1
-            self._looked.notify_all()
-            return Look(self.is_on, self.n_edges)
-
-    def close(self) -> None:
-        self.is_closed = True
 
 
 MakeGate = Callable[..., tuple[ModemLineGate, Collector]]
@@ -207,3 +175,28 @@ def test_without_a_count_only_changes_are_told() -> None:
 def test_settings_that_cannot_work_are_refused(changes: dict[str, object], problem: str) -> None:
     with pytest.raises(ValueError, match=problem):
         ModemLineSettings(**{"port": "x", **changes})
+
+
+@pytest.mark.parametrize("answer", [errno.ENOTTY, errno.EINVAL, errno.EOPNOTSUPP])
+def test_a_port_without_modem_lines_is_no_broken_one(answer: int) -> None:
+    def refuse(_: ModemLineSettings) -> FakeLine:
+        raise OSError(answer, os.strerror(answer))
+
+    gate = ModemLineGate(ModemLineSettings(port="/dev/ttyGS0"), refuse)
+    with pytest.raises(GateUnavailableError, match="has no modem lines"):
+        gate.open()
+
+
+@pytest.mark.parametrize(("line", "is_refused"), [("CTS", True), ("DSR", False), ("CD", False)])
+def test_cts_of_a_port_that_always_shows_it_is_refused(tmp_path: Path, line: str, is_refused: bool) -> None:
+    (tmp_path / "ttyACM0").touch()
+    (by_id := tmp_path / "usb-gate").symlink_to("ttyACM0")
+    gate = ModemLineGate(ModemLineSettings(port=str(by_id), line=line), lambda _: FakeLine())
+    if is_refused:
+        with pytest.raises(
+            GateUnavailableError, match=r"its port has no CTS .*: wire the sensor to DSR or CD"
+        ):
+            gate.open()
+    else:
+        gate.open()
+        gate.close()
