@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.host.finding import Finding, fault, installed, judged, unknown
+from service.host.finding import Finding, installed, judged, unknown
+from service.host.gate_port import check_gate
 from service.host.host import Host, Mount
 from service.host.network import CameraNetwork, check_network
 
@@ -13,14 +14,7 @@ DAEMON_BYTES, WORKER_BYTES, CALIBRATION_BYTES = 800 << 20, 400 << 20, 500 << 20
 """Memory of the daemon and of a worker, measured, and of a calibration that is solved, reckoned."""
 FILES = 4096
 """Open files and connections: cameras, workers, and what REST admits; as the unit sets it."""
-KERNEL_NAME = re.compile(r"/dev/tty(USB|ACM)\d+")
-"""Names that the kernel gives in the order of plugging in."""
-LATENCY_MS = 1
-"""Time for which the driver of a USB converter may collect bytes."""
 UNIT = "/etc/systemd/system/stonefall.service"
-GATE_RULES = installed(
-    "90-stonefall-gate.rules", "/etc/udev/rules.d", "udevadm control --reload && udevadm trigger"
-)
 GOVERNOR = installed("stonefall-governor.conf", "/etc/tmpfiles.d", "systemd-tmpfiles --create")
 CHRONY = "apt-get install chrony && " + installed(
     "50-stonefall-chrony.conf", "/etc/chrony/conf.d", "editor /etc/chrony/conf.d/50-stonefall-chrony.conf"
@@ -57,7 +51,8 @@ def _checks(host: Host, needs: HostNeeds) -> Iterator[Finding]:
     if needs.network is not None:
         yield from check_network(host, needs.network)
     yield _governor(host)
-    yield from _gate(host, needs)
+    if needs.gate is not None:
+        yield from check_gate(host, needs.gate)
     yield _clock(host)
     yield _journal(host)
     yield _spool(host, needs)
@@ -79,47 +74,6 @@ def _governor(host: Host) -> Finding:
         wanted="performance: a core that wakes slowly reads frames late",
         remedy=GOVERNOR,
     )
-
-
-def _gate(host: Host, needs: HostNeeds) -> Iterator[Finding]:
-    if needs.gate is None:
-        return
-    port = needs.gate
-    wanted = "a device that the group dialout may use"
-    try:
-        mode = host.path(port).stat().st_mode
-    except OSError as err:
-        yield fault(
-            "light gate",
-            found=f"{port}: {err.strerror}",
-            wanted=wanted,
-            remedy="plug it in; ls -l /dev/serial/by-id shows the name for [rig.gate]",
-        )
-        return
-    if KERNEL_NAME.fullmatch(str(port)):
-        yield fault(
-            "light gate's name",
-            found=f"{port}, which another device may have after the next start",
-            wanted="a name that stays",
-            remedy="use the name below /dev/serial/by-id (or by-path) in [rig.gate]",
-        )
-    device = host.path(port).resolve()
-    yield judged(
-        "light gate",
-        is_good=mode & 0o060 == 0o060 or device.is_relative_to("/dev/pts"),  # where a simulated one is
-        found=f"{port}, mode {mode & 0o777:o}",
-        wanted=wanted,
-        remedy=GATE_RULES,
-    )
-    latency = f"/sys/class/tty/{device.name}/device/latency_timer"
-    if (ms := host.number(latency)) is not None:
-        yield judged(
-            "light gate's latency",
-            is_good=ms <= LATENCY_MS,
-            found=f"{ms} ms",
-            wanted=f"{LATENCY_MS} ms: its driver collects bytes for so long",
-            remedy=GATE_RULES,
-        )
 
 
 def _clock(host: Host) -> Finding:

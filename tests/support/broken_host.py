@@ -78,6 +78,8 @@ FAULTS: Mapping[str, Callable[[Tree], None]] = {
         "/sys/devices/system/cpu/cpu1/cpufreq/scaling_governor", "powersave"
     ),
     "light gate": lambda tree: tree.path(tree.gate).chmod(0o600),
+    "ModemManager": lambda tree: tree.write("/proc/77/comm", "ModemManager"),
+    "brltty": lambda tree: tree.write("/usr/lib/udev/rules.d/85-brltty.rules", ""),
     "clock": lambda tree: tree.remove("/run/chrony/chronyd.pid"),
     "journal": lambda tree: tree.remove("/etc/systemd/journald.conf.d/50-stonefall-journald.conf"),
     "spool": lambda tree: tree.write("/proc/mounts", "/dev/sda1 / ext4 rw 0 0\n"),

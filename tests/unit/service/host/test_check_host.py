@@ -1,6 +1,7 @@
 """Faults planted in a tree of files: each is found, by its name and with its remedy, and nothing else is."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -109,6 +110,37 @@ def test_a_name_of_the_kernel_and_a_slow_converter_are_faults(tree: Tree) -> Non
     gone = faults(tree, replace(NEEDS, gate=Path("/dev/ttyUSB0")))
     assert "No such file" in gone["light gate"].found
     assert faults(tree, replace(NEEDS, gate=Path("gpiochip0"))).keys() == {"light gate"}
+
+
+def test_the_rule_holds_off_both_programs_that_take_ports(tree: Tree) -> None:
+    for subject in ("ModemManager", "brltty"):
+        FAULTS[subject](tree)
+    number = tree.path(GATE).stat().st_rdev
+    tree.write(f"/run/udev/data/c{os.major(number)}:{os.minor(number)}", "I:1\nE:ID_MM_DEVICE_IGNORE=1\n")
+    rules = (ROOT / "deploy" / "host" / "90-stonefall-gate.rules").read_text()
+    assert 'ENV{ID_MM_DEVICE_IGNORE}="1"' in rules
+    tree.write("/etc/udev/rules.d/90-stonefall-gate.rules", rules)
+    assert faults(tree) == {}
+
+
+def test_a_port_that_brltty_took_is_missing_and_brltty_is_named(tree: Tree) -> None:
+    FAULTS["brltty"](tree)
+    tree.remove(GATE)
+    assert faults(tree).keys() == {"brltty", "light gate"}
+
+
+def test_a_modem_manager_that_is_installed_and_stands_still_is_named(tree: Tree) -> None:
+    tree.write("/usr/sbin/ModemManager", "")
+    assert faults(tree)["ModemManager"].found == "installed"
+    tree.write("/dev/gpiochip0", "")
+    tree.path("/dev/gpiochip0").chmod(0o660)
+    assert faults(tree, replace(NEEDS, gate=Path("/dev/gpiochip0"))) == {}  # a GPIO chip is no modem
+
+
+@pytest.mark.parametrize(("group", "is_fault"), [("dialout", False), ("plugdev", True)])
+def test_a_port_of_another_group_is_a_fault(tree: Tree, group: str, is_fault: bool) -> None:
+    tree.write("/etc/group", f"root:x:4711:\n{group}:x:{tree.path(GATE).stat().st_gid}:stonefall\nbroken\n")
+    assert faults(tree).keys() == ({"light gate"} if is_fault else set())
 
 
 def test_a_spool_on_a_tmpfs_that_is_too_small_is_a_fault(tree: Tree) -> None:
