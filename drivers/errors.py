@@ -104,7 +104,7 @@ class DeviceFault(StrEnum):
     GATE_FOREIGN = (
         "gate_foreign",
         "sends text, but within {waited_s:g} s no line of the protocol that is read here, the last one"
-        ' "{reported}": check port and firmware',
+        ' "{reported}": check port and firmware; if it is garbled, cable and shield',
     )
     GATE_MUTE = (
         "gate_mute",

@@ -23,6 +23,8 @@ class FrameLossReason(StrEnum):
 
     DAMAGED = "damaged"
     """Its page in a bundle file is torn or does not match its checksum."""
+    FOREIGN = "foreign"
+    """Its page is whole, and not as we write it: another program changed its size or its kind of pixels."""
     ABSENT = "absent"
     """The bundle file neither has the frame nor says why."""
     UNREADABLE = "unreadable"
@@ -91,6 +93,7 @@ class TriggersLost:
     count: int
     reason: str
     while_down: bool = False  # they fell while no process listened to the gate
+    by_host: bool = False  # this machine took the edges of a line too late: nothing is wrong with the gate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from imagecodecs import deflate_crc32
 
 from drivers.errors import RecordingError
+from pipeline.formats import unread_format
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger
 
 FORMAT = "stonefall-bundle/1"
@@ -82,7 +83,7 @@ def parse_header(path: Path, description: str) -> BundleHeader:
     if not isinstance(document, dict) or "format" not in document:
         raise RecordingError(path, "is not a stonefall bundle: its description names no format")
     if document["format"] != FORMAT:
-        raise RecordingError(path, f'has format {document["format"]!r}, not "{FORMAT}"')
+        raise RecordingError(path, f"format: {unread_format(document['format'], FORMAT)}")
     if document.get("checksum") != _checksum(document):
         raise RecordingError(path, "header is damaged: it does not match its checksum")
     try:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import RecordingError
 from pipeline.arrays import Faces, Greys, PointsMM
+from pipeline.formats import unread_format
 
 MAGIC, MAGIC_WITH_GREYS = b"stonefall-mesh/1\n", b"stonefall-mesh/2\n"
 CHECKSUM, COUNTS = struct.Struct("<I"), struct.Struct("<II")
@@ -58,6 +59,9 @@ def read_compact_mesh(path: Path) -> tuple[PointsMM, Faces, Greys | None]:
         raise RecordingError(path, f"cannot be read: {err.strerror}") from err
     has_greys = file.startswith(MAGIC_WITH_GREYS)
     if not has_greys and not file.startswith(MAGIC):
+        if file.startswith(MAGIC[: MAGIC.index(b"/")]):
+            begins = file.partition(b"\n")[0][:32].decode("ascii", "replace")
+            raise RecordingError(path, f"format: {unread_format(begins, MAGIC_WITH_GREYS.decode().strip())}")
         raise RecordingError(path, f"is damaged, or not {MAGIC.decode().strip()}")
     content = file[len(MAGIC) + CHECKSUM.size :]
     try:

@@ -166,5 +166,7 @@ def read_json(path: Path) -> Any:
         return json.loads(read_bounded(path, MAX_JSON_BYTES))
     except OSError as err:
         raise RecordingError(path, f"cannot be read: {err.strerror}") from err
-    except (ValueError, RecursionError) as err:
+    except RecursionError as err:
+        raise RecordingError(path, "is nested more deeply than any file of ours") from err
+    except ValueError as err:
         raise RecordingError(path, f"is not JSON: {err}") from err

@@ -17,6 +17,7 @@ from drivers.files.durable import new_folder, read_json, write_json
 from drivers.files.rig_file import read_rig, write_rig
 from drivers.files.times import utc_now
 from pipeline.fall import Fall
+from pipeline.formats import unread_format
 from pipeline.frames import CAMERA_ID, BundleKind, CameraId, FrameBundle, Trigger
 from pipeline.rig.cameras import RigCalibration
 
@@ -75,7 +76,7 @@ def open_recording(path: Path, *, takes_masks: bool = False) -> Recording:
     document = read_json(document_path)
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         found = document.get("format") if isinstance(document, dict) else None
-        raise RecordingError(document_path, f'format: must be "{FORMAT}", not {found!r}')
+        raise RecordingError(document_path, f"format: {unread_format(found, FORMAT)}")
     camera_ids = _camera_ids(document_path, document)
     size_px = _image_size(document_path, document)
     is_simulated = document.get("is_simulated")

@@ -12,6 +12,7 @@ import tifffile
 
 from drivers.errors import RecordingError
 from drivers.files.bundle_file import TIFF_DAMAGE, zstd_page
+from pipeline.formats import unread_format
 from pipeline.frames import CameraId, Image
 
 FORMAT = "stonefall-silhouettes/2"
@@ -78,7 +79,7 @@ def read_silhouettes(path: Path) -> dict[CameraId, Image]:
             if document["format"] == WHOLE_IMAGES_FORMAT:
                 return dict(zip(map(CameraId, document["cameras"]), pages, strict=True))
             if document["format"] != FORMAT:
-                raise RecordingError(path, f'holds no silhouettes: its format is not "{FORMAT}"')
+                raise RecordingError(path, f"format: {unread_format(document['format'], FORMAT)}")
             width_px, height_px = document["image_size_px"]
             silhouettes = {}
             for view, page in zip(document["views"], pages, strict=True):

@@ -39,7 +39,8 @@ class LinePulses:
         self._filter.reset()
         if count:
             self._next_number(count)
-            self._deliver(TriggersLost(received_ns=time.monotonic_ns(), count=count, reason=reason))
+            now_ns = time.monotonic_ns()
+            self._deliver(TriggersLost(received_ns=now_ns, count=count, reason=reason, by_host=True))
 
     def test_pulse(self, at_ns: int) -> None:
         """Deliver the `BACKGROUND` trigger of a test pulse."""

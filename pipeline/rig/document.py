@@ -9,6 +9,7 @@ import scipy.linalg
 
 from pipeline.arrays import Floats, Matrix33, Vector
 from pipeline.errors import RigError
+from pipeline.formats import unread_format
 from pipeline.frames import CAMERA_ID, CameraId
 from pipeline.rig.cameras import FORMAT, CameraCalibration, Lens, Method, RigCalibration, checksum_of
 
@@ -37,7 +38,7 @@ def rig_from_document(document: Any) -> RigCalibration:
     """
     root = _mapping(document, "document")
     if root.get("format") != FORMAT:
-        raise RigError("format", f'must be "{FORMAT}", not {root.get("format")!r}')
+        raise RigError("format", unread_format(root.get("format"), FORMAT))
     try:
         expected = checksum_of(root)
     except UnicodeEncodeError as err:

@@ -33,8 +33,9 @@ class GateWatch:
 
     def __init__(self, bundling: BundlingParameters) -> None:
         self._bundling = bundling
-        self._unannounced, self._late, self._counted = _Recent(), _Recent(), _Recent()
-        self._counted_why = ""
+        self._unannounced, self._late = _Recent(), _Recent()
+        self._counted, self._overheard = _Recent(), _Recent()
+        self._counted_why = self._overheard_why = ""
         self._n_silent = 0  # stones in a row that were not announced
         self._early_ms: deque[float] = deque(maxlen=EARLY_STONES)
 
@@ -57,9 +58,13 @@ class GateWatch:
         self._late.append((now_s, 1))
 
     def note_gap(self, gap: TriggersLost, now_s: float) -> None:
-        """Note a gap in the gate's own counter."""
-        self._counted.append((now_s, gap.count))
-        self._counted_why = gap.reason
+        """Note a gap in the gate's own counter, or in what this machine heard of its line."""
+        if gap.by_host:
+            self._overheard.append((now_s, gap.count))
+            self._overheard_why = gap.reason
+        else:
+            self._counted.append((now_s, gap.count))
+            self._counted_why = gap.reason
 
     def warnings(self, now_s: float) -> tuple[CodedText, ...]:
         """Return the present troubles of the gate, each with the remedy."""
@@ -74,6 +79,8 @@ class GateWatch:
             found.append(message(Code.GATE_LATE, stones=n_late))
         if n_counted:
             found.append(message(Code.GATE_COUNTED, stones=n_counted, reported=self._counted_why))
+        if n_overheard := self._overheard.until(now_s):
+            found.append(message(Code.GATE_OVERHEARD, stones=n_overheard, reported=self._overheard_why))
         if len(self._early_ms) == EARLY_STONES and median(self._early_ms) > self._bundling.window_ms / 2:
             found.append(message(Code.GATE_EARLY, early_ms=median(self._early_ms)))
         return tuple(found)

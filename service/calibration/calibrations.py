@@ -319,7 +319,9 @@ class Calibrations:
             rig = await asyncio.to_thread(self._files.rig, record)
         except RecordingError as err:
             log.error("calibration %s cannot be activated: %s", record.id, err)
-            detail = f"calibration {record.id}: its rig file is damaged; activate another one"
+            detail = (
+                f"calibration {record.id}: its rig file cannot be used: {err.problem}; activate another one"
+            )
             raise CalibrationConflictError(detail, state=record.state) from err
         if differing := image_sizes_px(rig).items() ^ image_sizes_px(self.rig).items():
             cameras = ", ".join(sorted({name for name, _ in differing}))

@@ -124,8 +124,8 @@ def _latest_usable(
             log.error("calibration %s cannot be used: it was made with other cameras", record.id)
         except (KeyError, RecordingError) as err:
             log.error("calibration %s cannot be used, the one before is: %s", activation.id, err)
-            damaged = message(Code.CALIBRATION_DAMAGED, calibration=activation.id)
-            trouble = trouble or damaged
+            why = err.problem if isinstance(err, RecordingError) else "its record is not there"
+            trouble = trouble or message(Code.CALIBRATION_DAMAGED, calibration=activation.id, reported=why)
     return None
 
 

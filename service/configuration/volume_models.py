@@ -7,6 +7,7 @@ from pathlib import Path
 from drivers.files.bounded import read_bounded
 from drivers.files.durable import write_file
 from pipeline.body_measurement import MeasuringParameters
+from pipeline.formats import unread_format
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from service.base.errors import VolumeModelError
 from service.base.paths import ConfiguredPath
@@ -46,9 +47,10 @@ def read_volume_model(path: Path) -> VolumeModel:
         raise VolumeModelError(f"{path}: {err.strerror}") from err
     except (ValueError, RecursionError) as err:
         raise VolumeModelError(f"{path}: is not JSON: {err}") from err
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
+    found = document.get("format") if isinstance(document, dict) else None
+    if found != FORMAT:
         raise VolumeModelError(
-            f'{path}: format: must be "{FORMAT}"; write the file with stonefall fit-volume'
+            f"{path}: format: {unread_format(found, FORMAT)}; stonefall fit-volume writes such a file"
         )
     shares: dict[str, float] = {}
     for name in ("gap_share", "hidden_share"):

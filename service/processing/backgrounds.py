@@ -119,7 +119,7 @@ class KeptBackground:
                 archive.extractall(folder)
             read_background(folder)
         except (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile) as err:
-            log.error("the kept background is damaged and not used: %s file=%s", err, self._path)
+            log.error("the kept background cannot be restored and is not used: %s file=%s", err, self._path)
             shutil.rmtree(folder, ignore_errors=True)
             return None
         log.info("kept background restored file=%s", self._path)

@@ -124,7 +124,7 @@ def recording_in(folder: Path, name: str) -> RecordingStatus | None:
     except RecordingError as err:
         reason = f"recording.json {err.problem}"
     if not isinstance(document, dict) or not isinstance(document.get("made_by", {}), dict):
-        document, reason = {}, "recording.json is damaged"
+        document, reason = {}, "recording.json does not describe a recording"
     made_by = document.get("made_by", {})
     ended_by = made_by.get("ended_by")
     return RecordingStatus(

@@ -40,6 +40,7 @@ MAX_REPORT_BYTES = 10_000_000
 MARK = b"\n%stonefall-signature "
 LINE = re.compile(rb"(\{[^\r\n]*\}) ([0-9a-f]{128})\n")
 PDF = b"%PDF-"
+UPDATE = "update stonefall to read what was signed"
 
 
 class SignatureState(StrEnum):
@@ -198,16 +199,24 @@ def checked(content: bytes, known: Collection[str]) -> ReportCheck:
     try:
         if found is None:
             raise ValueError
-        statement = TypeAdapter(Statement).validate_json(found[1])
-        public = Ed25519PublicKey.from_public_bytes(bytes.fromhex(statement.public_key))
+        public_key = json.loads(found[1])["public_key"]
+        public = Ed25519PublicKey.from_public_bytes(bytes.fromhex(public_key))
         public.verify(bytes.fromhex(found[2].decode()), pdf + mark + found[1])
-    except (ValidationError, ValueError, InvalidSignature):
+    except (ValueError, KeyError, TypeError, RecursionError, InvalidSignature):
         return ReportCheck(state=SignatureState.CHANGED, detail="it was changed after it was signed")
-    fingerprint = fingerprint_of(statement.public_key)
+    fingerprint = fingerprint_of(public_key)
     is_known = fingerprint in known
+    try:
+        statement = TypeAdapter(Statement).validate_json(found[1])
+        detail = _described(statement, fingerprint, is_known=is_known)
+    except ValidationError:  # whole, as its signature shows
+        statement, detail = (
+            None,
+            f"it is unchanged since key {fingerprint} signed it, by a later version: {UPDATE}",
+        )
     return ReportCheck(
         state=SignatureState.GENUINE if is_known else SignatureState.UNKNOWN_KEY,
-        detail=_described(statement, fingerprint, is_known=is_known),
+        detail=detail,
         fingerprint=fingerprint,
         statement=statement,
     )

@@ -107,3 +107,9 @@ def test_corners_without_a_vertex_are_refused(tmp_path: Path) -> None:
     write_compact_mesh(tmp_path / "mesh.sfmesh", np.zeros((2, 3)), np.array([[0, 1, 2]]))
     with pytest.raises(RecordingError, match="corners without a vertex"):
         read_compact_mesh(tmp_path / "mesh.sfmesh")
+
+
+def test_a_file_of_a_later_version_is_not_called_damaged(tmp_path: Path) -> None:
+    (path := tmp_path / "mesh.sfmesh").write_bytes(b"stonefall-mesh/3\n" + bytes(40))
+    with pytest.raises(RecordingError, match='is "stonefall-mesh/3", of a later version: update stonefall'):
+        read_compact_mesh(path)

@@ -113,7 +113,8 @@ def test_the_writer_refuses_what_does_not_belong(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": "stonefall-recording/2"}, "format: must be"),
+        ({"format": "stonefall-recording/2"}, "of a later version: update stonefall"),
+        ({"format": "stonefall-rig/1"}, "format: must be"),
         ({"cameras": "c01"}, "cameras: must be a list"),
         ({"cameras": ["c01", "c01"]}, "an id occurs twice"),
         ({"cameras": ["c01", "c02", "c03", "x"]}, "rig of other cameras: it has no x"),

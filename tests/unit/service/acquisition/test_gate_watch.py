@@ -1,5 +1,7 @@
 """What the gate tells late or not at all is named for a minute; the time is the test's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -62,6 +64,18 @@ def test_stones_that_only_the_counter_knows_are_no_sign_of_a_silent_gate(watch: 
     (warning,) = watch.warnings(2)
     assert warning.startswith("its counter went on by 500 stones without their lines within the last minute")
     assert watch.warnings(1 + RECENT_S + 1) == ()
+
+
+def test_edges_that_this_machine_heard_too_late_are_no_fault_of_the_gate(watch: GateWatch) -> None:
+    watch.note_gap(replace(gap(2), reason="3 edges dropped by the kernel", by_host=True), 1)
+    (warning,) = watch.warnings(2)
+    assert warning.startswith(
+        "this machine heard 2 stones of its line too late within the last minute (3 edges"
+    )
+    assert warning.endswith("look at the load of this machine")
+    watch.note_gap(gap(1), 2)
+    assert len(watch.warnings(2)) == 2
+    assert watch.warnings(2 + RECENT_S + 1) == ()
 
 
 def test_announcements_that_come_late_are_told_from_missing_ones(watch: GateWatch) -> None:

@@ -38,7 +38,9 @@ async def test_a_rig_of_other_cameras_or_a_damaged_one_is_not_activated(tmp_path
     with pytest.raises(CalibrationConflictError, match="other cameras: c04"):
         await desk.act(name, CalibrationAction.ACTIVATE)
     (tmp_path / "calibrations" / name / "rig.json").write_text("{")
-    with pytest.raises(CalibrationConflictError, match="rig file is damaged"):
+    with pytest.raises(
+        CalibrationConflictError, match=r"rig file cannot be used: is not JSON.*; activate another one"
+    ):
         await desk.act(name, CalibrationAction.ACTIVATE)
     assert desk.active.id == open_desk(tmp_path).active.id == "0001"
 
@@ -54,7 +56,7 @@ async def test_when_the_one_in_use_is_damaged_the_one_before_is_used(
     again = open_desk(tmp_path)
     assert again.active.id == "0001"
     assert f"calibration {name} cannot be used, the one before is" in caplog.text
-    assert f"calibration {name} is damaged" in str(again.facts().trouble)
+    assert f"calibration {name} cannot be used (is not JSON" in str(again.facts().trouble)
     await again.act("0001", CalibrationAction.ACTIVATE)
     assert again.facts().trouble is open_desk(tmp_path).facts().trouble is None
     shutil.rmtree(tmp_path / "calibrations" / name)

@@ -1,5 +1,6 @@
 """A signed report: not one byte of it can be changed unnoticed, and only a known key is relied on."""
 
+import json
 import stat
 from functools import cache
 from io import BytesIO
@@ -16,6 +17,7 @@ from service.base.errors import StoreError
 from service.reports.printed import render_pdf
 from service.reports.signatures import (
     KEY_FILE,
+    MARK,
     InstrumentKey,
     SignatureState,
     checked,
@@ -108,6 +110,29 @@ def test_readers_of_pdf_open_a_signed_report_and_find_its_end() -> None:
     ]
     assert texts[0] == texts[1]
     assert KEY.fingerprint in "".join(texts[0])
+
+
+def test_what_a_later_version_signed_is_unchanged_though_it_cannot_be_read() -> None:
+    """A report must never be called changed by an instrument that is only too old to read it."""
+    text = json.dumps({"public_key": KEY.public_key, "of_a_later_version": True}).encode()
+    content = b"%PDF-1.7\n%%EOF" + MARK + text
+    later = content + b" " + KEY.private.sign(content).hex().encode() + b"\n"
+    found = checked(later, {KEY.fingerprint})
+    assert (found.state, found.fingerprint, found.statement) == (
+        SignatureState.GENUINE,
+        KEY.fingerprint,
+        None,
+    )
+    assert "unchanged" in found.detail
+    assert "later version" in found.detail
+    assert checked(later, set()).state is SignatureState.UNKNOWN_KEY
+    assert state_of(later.replace(b"1.7", b"1.6")) is SignatureState.CHANGED
+
+
+@pytest.mark.parametrize("text", [b"{}", b'{"public_key": 7}', b'{"public_key": "zz"}', b"{" * 50_000 + b"}"])
+def test_a_signature_without_a_key_proves_nothing(text: bytes) -> None:
+    content = b"%PDF-1.7" + MARK + text + b" " + 128 * b"0" + b"\n"
+    assert state_of(content) is SignatureState.CHANGED
 
 
 def test_the_key_is_made_once_for_its_owner_alone(tmp_path: Path) -> None:
