@@ -97,7 +97,9 @@ class SerialGate:
 
     def resume(self, count: GateCount, n_known: int) -> None:
         """Go on from the count of an earlier process that was killed while the gate was armed."""
-        host_ns = None if count.at is None else time.monotonic_ns() - ns_since(count.at)
+        host_ns = None
+        with suppress(ValueError, TypeError):  # of a damaged store; the count alone decides then
+            host_ns = None if count.at is None else time.monotonic_ns() - ns_since(count.at)
         with self._heard:
             self._listener.resume(count, host_ns)
             self._is_owed, self._n_owed, self._was_down = True, -n_known, True

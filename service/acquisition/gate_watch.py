@@ -34,8 +34,8 @@ class GateWatch:
     def __init__(self, bundling: BundlingParameters) -> None:
         self._bundling = bundling
         self._unannounced, self._late = _Recent(), _Recent()
-        self._counted, self._overheard = _Recent(), _Recent()
-        self._counted_why = self._overheard_why = ""
+        self._counted, self._heard_late = _Recent(), _Recent()
+        self._counted_why = self._heard_late_why = ""
         self._n_silent = 0  # stones in a row that were not announced
         self._early_ms: deque[float] = deque(maxlen=EARLY_STONES)
 
@@ -60,8 +60,8 @@ class GateWatch:
     def note_gap(self, gap: TriggersLost, now_s: float) -> None:
         """Note a gap in the gate's own counter, or in what this machine heard of its line."""
         if gap.by_host:
-            self._overheard.append((now_s, gap.count))
-            self._overheard_why = gap.reason
+            self._heard_late.append((now_s, gap.count))
+            self._heard_late_why = gap.reason
         else:
             self._counted.append((now_s, gap.count))
             self._counted_why = gap.reason
@@ -79,8 +79,8 @@ class GateWatch:
             found.append(message(Code.GATE_LATE, stones=n_late))
         if n_counted:
             found.append(message(Code.GATE_COUNTED, stones=n_counted, reported=self._counted_why))
-        if n_overheard := self._overheard.until(now_s):
-            found.append(message(Code.GATE_OVERHEARD, stones=n_overheard, reported=self._overheard_why))
+        if n_heard_late := self._heard_late.until(now_s):
+            found.append(message(Code.GATE_HEARD_LATE, stones=n_heard_late, reported=self._heard_late_why))
         if len(self._early_ms) == EARLY_STONES and median(self._early_ms) > self._bundling.window_ms / 2:
             found.append(message(Code.GATE_EARLY, early_ms=median(self._early_ms)))
         return tuple(found)

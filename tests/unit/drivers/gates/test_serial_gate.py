@@ -195,6 +195,27 @@ def test_the_next_process_knows_what_fell_while_none_listened(
         successor.close()
 
 
+@pytest.mark.parametrize(
+    "at", ["2026-11-28T19:00:00.000Z", "2099-01-01T00:00:00Z", "yesterday", "2026-11-28T19:00:00"]
+)
+def test_no_time_that_was_noted_with_the_count_hinders_it(
+    device: PtyGate, settings: SerialGateSettings, at: str
+) -> None:
+    count = last_count(device, SerialGate(settings))
+    for _ in range(3):
+        device.edge()
+    successor = SerialGate(settings)
+    try:
+        successor.resume(replace(count, at=at), 0)
+        successor.open()
+        successor.arm(sink := Collector())
+        lost = sink.next()
+        assert isinstance(lost, TriggersLost)
+        assert lost.count == 3
+    finally:
+        successor.close()
+
+
 def test_of_another_gate_nothing_is_known(device: PtyGate, settings: SerialGateSettings) -> None:
     count = last_count(device, SerialGate(settings))
     for _ in range(3):
