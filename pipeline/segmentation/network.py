@@ -212,6 +212,10 @@ def _first_session(
     try:
         session = start(model, (CPU,))
     except RUNTIME_ERRORS as err:
+        if isinstance(err, runtime_errors.NotImplemented) or "version" in str(err):
+            raise ModelError(
+                f"is beyond onnxruntime {onnxruntime.__version__}, export it with an older opset: {_line(err)}"
+            ) from err
         raise ModelError(
             f"expected an ONNX model, found {len(model)} bytes that are not one: {_line(err)}"
         ) from err

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+import onnx
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -88,6 +89,17 @@ def test_units_do_not_matter_to_a_u2net(unit: float, seed: int) -> None:
 def test_refused_with_what_was_expected(content: bytes, said: str) -> None:
     with pytest.raises(ModelError, match=said):
         load_network(content)
+
+
+@pytest.mark.parametrize("change", ["ir", "opset"])
+def test_a_model_of_a_later_onnx_is_not_called_no_model(change: str) -> None:
+    model = onnx.load_from_string(difference_network())
+    if change == "ir":
+        model.ir_version = 99
+    else:
+        model.opset_import[0].version = 99
+    with pytest.raises(ModelError, match=r"^is beyond onnxruntime [0-9.]+, export it with an older opset: "):
+        load_network(model.SerializeToString())
 
 
 def test_out_of_memory_at_the_start_goes_on_on_the_cpu() -> None:
