@@ -181,8 +181,9 @@ class SimulatedCamera:
 
     # --- signals ---
 
-    def line(self, name: str = "Line1", at_ns: int | None = None, *, rising: bool = True) -> None:
-        """Apply an electrical edge to an input line, at `at_ns` of `time.monotonic_ns`; None: now."""
+    def line(self, name: str | None = None, at_ns: int | None = None, *, rising: bool = True) -> None:
+        """Apply an electrical edge to an input line, at `at_ns` of `time.monotonic_ns`; None: the first line, now."""
+        name = name or self._design.ways.lines[0]
         self._sensor.line(name, time.monotonic_ns() if at_ns is None else at_ns, rising=rising)
 
     def skip_blocks(self, n_blocks: int) -> None:

@@ -10,8 +10,8 @@ from ipaddress import IPv4Address
 from drivers.gige_simulator.clock import CameraClock
 from drivers.gige_simulator.design import CameraDesign
 from drivers.gige_simulator.faults import Faults
-from drivers.gige_simulator.feature_table import USER_OUTPUTS, feature_table
-from drivers.gige_simulator.features import PTP_STATES
+from drivers.gige_simulator.feature_table import EXPOSURE_LIMITS, USER_OUTPUTS, feature_table
+from drivers.gige_simulator.features import PIXEL_FORMATS, PTP_STATES
 from drivers.gige_simulator.genicam_xml import genicam_xml, zipped
 from drivers.gige_simulator.gvsp import IP_UDP_BYTES, chunk_bytes
 from drivers.gige_simulator.registers import (
@@ -37,19 +37,23 @@ _CAPABILITIES = 1 << 31 | 1 << 30 | 1 << 28 | 1 << 19 | 1 << 17 | 1 << 6 | 1 << 
 """User name, serial, link speed, PTP, scheduled action, action, pending ack, write memory, concatenation."""
 
 _USER_SETS = ("Default", "UserSet1")
+_REDUCTIONS = ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical")
 
 
 def make_registers(design: CameraDesign) -> Registers:
     """Return the registers of a camera with its GenICam XML; the legacy dialect clamps values that others refuse."""
-    table = feature_table(design.dialect, design.image_size_px, throughput_bytes_s=design.link_bytes_s)
-    registers = Registers(table, clamps=design.dialect == "legacy")
-    xml = genicam_xml(registers, vendor=VENDOR, model=design.model)
-    registers.xml = zipped(xml, f"{design.model}.xml") if design.has_zipped_xml else xml
+    ways = design.ways
+    table = feature_table(ways, design.image_size_px, throughput_bytes_s=design.link_bytes_s)
+    registers = Registers(table, clamps=ways.dialect == "legacy", encoding=ways.encoding)
+    xml = genicam_xml(registers, vendor=VENDOR, model=ways.model)
+    registers.xml = zipped(xml, f"{ways.model}.xml") if design.is_xml_zipped else xml
     return registers
 
 
 class CameraDevice:
     """The `CommandEffects` of a camera; called under the camera's lock."""
+
+    _design: CameraDesign  # as it was last switched on
 
     def __init__(
         self,
@@ -96,6 +100,7 @@ class CameraDevice:
             "PtpEnable": lambda _: clock.set_ptp(is_enabled=bool(registers.number("PtpEnable"))),
             "PtpDataSetLatch": self._latch_ptp,
             "GevSCPSFireTestPacket": self._fire_test_packet,
+            **dict.fromkeys((*_REDUCTIONS, "ExposureTimeMode"), self._derive),
             **dict.fromkeys(
                 ("DeviceIndicatorMode", "LineMode", "LineSource", "UserOutputValue"), self._see_lamp
             ),
@@ -106,7 +111,7 @@ class CameraDevice:
             LineStatus=lambda bank: int(sensor.level(bank)),
             CounterValue=lambda bank: self._events(bank) - self._counter_bases[bank],
             PayloadSize=lambda _: self._payload_bytes(),
-            PtpStatus=lambda _: PTP_STATES.index(clock.ptp_state()),
+            PtpStatus=lambda _: PTP_STATES.index(self._ptp_state()),
             PtpOffsetFromMaster=lambda _: self._latched_offset_ns,
         )
 
@@ -116,22 +121,34 @@ class CameraDevice:
         if design.serial != self._serial:  # another device
             self._serial, self._user_name, self._startup_set = design.serial, "", "Default"
             self._user_sets.clear()
+        self._design = design
         registers.reset()
         for address, word in _bootstrap(design, stream_port, len(registers.xml)).items():
             registers.put_word(address, word)
-        suffix = "zip" if design.has_zipped_xml else "xml"
-        registers.put_text(0x200, f"Local:{design.model}.{suffix};{XML_ADDRESS:x};{len(registers.xml):x}")
+        ways = design.ways
+        suffix = "zip" if design.is_xml_zipped else "xml"
+        registers.put_text(
+            0x200, f"Local:{ways.model.replace(' ', '_')}.{suffix};{XML_ADDRESS:x};{len(registers.xml):x}"
+        )
         for key, text in (
             ("DeviceVendorName", VENDOR),
-            ("DeviceModelName", design.model),
+            ("DeviceModelName", ways.model),
             ("DeviceVersion", VERSION),
-            ("DeviceManufacturerInfo", f"{design.dialect} dialect"),
+            (
+                "DeviceManufacturerInfo",
+                f"as of {ways.resembles}" if ways.resembles else f"{ways.dialect} dialect",
+            ),
             ("DeviceSerialNumber", design.serial),
             ("DeviceUserID", self._user_name or design.user_name),
         ):
             registers.put(key, text)
         registers.put("UserSetDefault", _USER_SETS.index(self._startup_set))
         registers.restore(self._user_sets.get(self._startup_set, {}))
+        for key, setting in ways.left_on.items():
+            if isinstance(setting, str):
+                setting = registers.features[key].entries[setting]
+            registers.put(key, setting)
+        self._derive(0)
         self._clock.restart()
         self._clock.set_ptp(is_enabled=bool(registers.number("PtpEnable")))
         self._sensor.power_on()
@@ -176,13 +193,30 @@ class CameraDevice:
             at_ns = self._clock.host_ns(at_device_ns)
             if at_ns < time.monotonic_ns():
                 return AckStatus.ACTION_LATE
-        self._sensor.edge("Action1", at_ns)
+        self._sensor.edge(self._design.ways.action, at_ns)
         return AckStatus.SUCCESS
 
     def resend(self, block_id: int, first: int, last: int, *, has_extended_ids: bool) -> None:
         self._stream.resend(block_id, first, last, has_extended_ids=has_extended_ids)
 
     # --- effects of features ---
+
+    def _derive(self, _: int) -> None:
+        """Let the ranges of features follow the features that they depend on."""
+        registers = self._registers
+        for extent, offset, direction in (
+            ("Width", "OffsetX", "Horizontal"),
+            ("Height", "OffsetY", "Vertical"),
+        ):
+            reduced = registers.product(f"Binning{direction}") * registers.number(f"Decimation{direction}")
+            most = registers.number(f"Sensor{extent}") // reduced
+            registers.put(f"{extent}Max", most)
+            registers.put(extent, min(registers.number(extent), most - registers.number(offset)))
+        if modes_us := self._design.ways.exposure_modes_us:
+            limits = modes_us[registers.choice("ExposureTimeMode")]
+            for key, limit in zip(EXPOSURE_LIMITS, limits, strict=True):
+                registers.put(key, limit)
+            registers.put("ExposureTime", min(max(registers.quantity("ExposureTime"), limits[0]), limits[1]))
 
     def _destination(self) -> tuple[str, int]:
         address = IPv4Address(self._registers.word(STREAM_ADDRESS))
@@ -213,6 +247,7 @@ class CameraDevice:
         registers = self._registers
         chosen = self._user_sets.get(self._chosen_set())
         registers.restore(registers.defaults() if chosen is None else chosen)
+        self._derive(0)
         self._clock.set_ptp(is_enabled=bool(registers.number("PtpEnable")))
 
     def _save_user_set(self, _: int) -> None:
@@ -249,6 +284,10 @@ class CameraDevice:
             for bank in registers.features["LineSelector"].entries.values()
         )
 
+    def _ptp_state(self) -> str:
+        state = self._clock.ptp_state()
+        return "Master" if self._design.is_clock_master and state in ("Uncalibrated", "Slave") else state
+
     def _temperature_c(self) -> float:
         """Return a temperature that rises by 9 K within minutes and then wavers by a few tenths."""
         if self._faults.temperature_c is not None:
@@ -267,7 +306,8 @@ class CameraDevice:
 
     def _payload_bytes(self) -> int:
         registers = self._registers
-        n_image = registers.number("Width") * registers.number("Height")
+        n_bits = PIXEL_FORMATS[registers.choice("PixelFormat")] >> 16 & 0xFF
+        n_image = -(-registers.number("Width") * registers.number("Height") * n_bits // 8)
         if not registers.number("ChunkModeActive"):
             return n_image
         n_banks = registers.n_banks(registers.features["ChunkEnable"])
@@ -284,7 +324,7 @@ def _bootstrap(design: CameraDesign, stream_port: int, xml_bytes: int) -> Mappin
     mac = mac_address(design.serial)
     return {
         0x000: 0x00020000,  # the standard's version
-        0x004: 0x80000001,  # big endian, UTF-8
+        0x004: 0x80000001 if design.ways.encoding == "utf-8" else 0x80000000,  # big endian, UTF-8
         0x008: int.from_bytes(mac[:2], "big"),
         0x00C: int.from_bytes(mac[2:], "big"),
         0x010: 0x7,  # link-local, DHCP, persistent

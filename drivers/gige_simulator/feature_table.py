@@ -1,7 +1,8 @@
 """The features of a simulated camera: one table in two dialects.
 
 Names follow the Standard Features Naming Convention (SFNC); the legacy dialect is the same table with the names of
-older cameras, integer registers behind its floats, and values clamped instead of refused.
+older cameras, integer registers behind its floats, and values clamped instead of refused. A personality changes names,
+entries and ranges, and leaves features out.
 """
 
 from collections.abc import Mapping
@@ -9,30 +10,38 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from drivers.gige_simulator.features import CHUNKS, MONO8, PTP_STATES, Dialect, Feature
+from drivers.gige_simulator.features import CHUNKS, PIXEL_FORMATS, PTP_STATES, Feature
+from drivers.gige_simulator.personalities import Personality
 
 USER_OUTPUTS = ("UserOutput1", "UserOutput2")
 """Entries of `LineSource`: the line is as high as the `UserOutputValue` of that output says."""
 
-_LINES = ("Line1", "Line2", "Line3")
+EXPOSURE_LIMITS = ("ExposureTimeMin", "ExposureTimeMax")
+"""Range of the exposure time in cameras with several modes of it."""
 _AUTOMATIC = ("Off", "Once", "Continuous")
 _SETS = ("Default", "UserSet1")
 
 
 def feature_table(
-    dialect: Dialect, image_size_px: tuple[int, int], *, throughput_bytes_s: int
+    ways: Personality, image_size_px: tuple[int, int], *, throughput_bytes_s: int
 ) -> tuple[Feature, ...]:
     """Return the features of a camera with a sensor of `image_size_px` (W, H) on a link of `throughput_bytes_s`."""
     table = (
         *_device(throughput_bytes_s),
-        *_image_format(*image_size_px),
-        *_acquisition(),
-        *_lines_and_counters(),
-        *_transport(),
+        *_image_format(ways, *image_size_px),
+        *_analog(),
+        *_acquisition(ways),
+        *_lines_and_counters(ways),
+        *_transport(ways),
     )
-    if dialect == "sfnc":
-        return table
-    return tuple(_as_legacy(feature) for feature in table if feature.key not in _LEGACY_LACKS)
+    if ways.dialect == "legacy":
+        table = tuple(_as_legacy(feature) for feature in table if feature.key not in _LEGACY_LACKS)
+    lacks = ways.lacks if ways.has_extended_ids else {*ways.lacks, "GevGVSPExtendedIDMode"}
+    return tuple(
+        replace(feature, name=ways.names.get(feature.key, feature.name))
+        for feature in table
+        if feature.key not in lacks
+    )
 
 
 def _device(throughput_bytes_s: int) -> tuple[Feature, ...]:
@@ -66,24 +75,54 @@ def _device(throughput_bytes_s: int) -> tuple[Feature, ...]:
     )
 
 
-def _image_format(width: int, height: int) -> tuple[Feature, ...]:
+def _image_format(ways: Personality, width: int, height: int) -> tuple[Feature, ...]:
     category = "ImageFormatControl"
+    switch, reduced = _switch(category), _integer(category, is_locked=True, value=1, minimum=1, maximum=4)
+    engine = "BinningSelector" if ways.binning_engines else None
+    formats = {name: PIXEL_FORMATS[name] for name in ways.pixel_formats}
     integer, extent = _integer(category), _integer(category, is_locked=True, maximum=max(width, height))
     return (
         integer(name="SensorWidth", access="RO", value=width, maximum=width),
         integer(name="SensorHeight", access="RO", value=height, maximum=height),
-        extent(name="Width", value=width, minimum=16, increment=4, limit=("SensorWidth", "OffsetX")),
-        extent(name="Height", value=height, minimum=2, increment=2, limit=("SensorHeight", "OffsetY")),
-        extent(name="OffsetX", increment=4, limit=("SensorWidth", "Width")),
-        extent(name="OffsetY", increment=2, limit=("SensorHeight", "Height")),
-        _choice("PixelFormat", category, {"Mono8": MONO8}, value=MONO8, is_locked=True),
+        *([_choice(engine, category, ways.binning_engines)] if engine else []),
+        reduced(name="BinningHorizontal", selector=engine),
+        reduced(name="BinningVertical", selector=engine),
+        reduced(name="DecimationHorizontal"),
+        reduced(name="DecimationVertical"),
+        integer(name="WidthMax", access="RO", value=width, maximum=width),
+        integer(name="HeightMax", access="RO", value=height, maximum=height),
+        extent(name="Width", value=width, minimum=16, increment=4, limit=("WidthMax", "OffsetX")),
+        extent(name="Height", value=height, minimum=2, increment=2, limit=("HeightMax", "OffsetY")),
+        extent(name="OffsetX", increment=4, limit=("WidthMax", "Width")),
+        extent(name="OffsetY", increment=2, limit=("HeightMax", "Height")),
+        switch(name="ReverseX", is_locked=True),
+        switch(name="ReverseY", is_locked=True),
+        _choice("TestPattern", category, ("Off", "GreyHorizontalRamp")),
+        _choice("PixelFormat", category, formats, value=formats[ways.pixel_formats[0]], is_locked=True),
         integer(name="PayloadSize", access="RO"),
     )
 
 
-def _acquisition() -> tuple[Feature, ...]:
+def _analog() -> tuple[Feature, ...]:
+    category = "AnalogControl"
+    floating, switch = _float(category), _switch(category)
+    return (
+        floating(name="Gain", maximum=24.0, unit="dB"),
+        _choice("GainAuto", category, _AUTOMATIC),
+        floating(name="BlackLevel", maximum=64.0),
+        switch(name="GammaEnable"),
+        floating(name="Gamma", value=1.0, minimum=0.25, maximum=4.0),
+        switch(name="LUTEnable"),
+        _choice("LUTMode", category, ("Off", "Gamma", "LUT")),
+    )
+
+
+def _acquisition(ways: Personality) -> tuple[Feature, ...]:
     category = "AcquisitionControl"
     floating, command, switch = _float(category), _command(category), _switch(category)
+    integer, modes_us = _integer(category), ways.exposure_modes_us
+    limits = [floating(name=name, access="RO", maximum=1_000_000.0, unit="us") for name in EXPOSURE_LIMITS]
+    sources = (*ways.sources, "Software", ways.action, *ways.other_sources)
     of_trigger: dict[str, Any] = {"category": category, "selector": "TriggerSelector"}
     return (
         _choice("AcquisitionMode", category, ("Continuous", "SingleFrame"), is_locked=True),
@@ -92,26 +131,35 @@ def _acquisition() -> tuple[Feature, ...]:
         switch(name="AcquisitionStatus", access="RO"),
         floating(name="AcquisitionFrameRate", value=10.0, minimum=0.1, maximum=100.0, unit="Hz"),
         switch(name="AcquisitionFrameRateEnable"),
-        _choice("TriggerSelector", category, ("FrameStart", "FrameBurstStart")),
+        _choice("SequencerMode", category, ("Off", "On")),
+        integer(name="AcquisitionBurstFrameCount", value=1, minimum=1, maximum=255),
+        _choice("TriggerSelector", category, ways.selectors),
         _choice("TriggerMode", **of_trigger, entries=("Off", "On")),
-        _choice("TriggerSource", **of_trigger, entries=(*_LINES, "Software", "Action1")),
+        _choice("TriggerSource", **of_trigger, entries=sources),
         _choice("TriggerActivation", **of_trigger, entries=("RisingEdge", "FallingEdge", "AnyEdge")),
-        floating(name="TriggerDelay", selector="TriggerSelector", maximum=1_000_000.0, unit="us"),
+        floating(name="TriggerDelay", selector="TriggerSelector", maximum=ways.max_delay_us, unit="us"),
         command(name="TriggerSoftware", selector="TriggerSelector"),
-        floating(name="ExposureTime", value=1000.0, minimum=10.0, maximum=1_000_000.0, unit="us"),
+        _choice("ExposureMode", category, ("Timed", "TriggerWidth")),
+        *((_choice("ExposureTimeMode", category, tuple(modes_us)), *limits) if modes_us else ()),
+        floating(
+            name="ExposureTime",
+            value=1000.0,
+            minimum=10.0,
+            maximum=1_000_000.0,
+            unit="us",
+            bounds=EXPOSURE_LIMITS if modes_us else None,
+        ),
         _choice("ExposureAuto", category, _AUTOMATIC),
-        _float("AnalogControl")(name="Gain", maximum=24.0, unit="dB"),
-        _choice("GainAuto", "AnalogControl", _AUTOMATIC),
     )
 
 
-def _lines_and_counters() -> tuple[Feature, ...]:
+def _lines_and_counters(ways: Personality) -> tuple[Feature, ...]:
     lines, counters, actions = "DigitalIOControl", "CounterAndTimerControl", _integer("ActionControl")
     events = ("Off", "FrameTrigger", "FrameTriggerMissed", "ExposureStart")
     of_line: dict[str, Any] = {"category": lines, "selector": "LineSelector"}
     of_counter: dict[str, Any] = {"category": counters, "selector": "CounterSelector"}
     return (
-        _choice("LineSelector", lines, _LINES),
+        _choice("LineSelector", lines, ways.lines),
         _choice("LineMode", **of_line, entries=("Input", "Output")),
         _choice("LineSource", **of_line, entries=("Off", "ExposureActive", *USER_OUTPUTS)),
         _switch(**of_line)(name="LineInverter"),
@@ -129,7 +177,7 @@ def _lines_and_counters() -> tuple[Feature, ...]:
     )
 
 
-def _transport() -> tuple[Feature, ...]:
+def _transport(ways: Personality) -> tuple[Feature, ...]:
     category, chunks = "TransportLayerControl", "ChunkDataControl"
     integer, switch = _integer(category), _switch(category)
     return (
@@ -142,7 +190,7 @@ def _transport() -> tuple[Feature, ...]:
             bits=(16, 31),
             value=1500,
             minimum=220,
-            maximum=9000,
+            maximum=ways.max_packet_bytes,
             increment=4,
             unit="B",
             is_locked=True,
@@ -155,7 +203,7 @@ def _transport() -> tuple[Feature, ...]:
             address=0x938,
             value=3000,
             minimum=500,
-            maximum=60_000,
+            maximum=3_600_000,
             unit="ms",
             is_kept=False,
         ),
@@ -201,6 +249,7 @@ def _choice(
 
 
 _LEGACY_NAMES = {
+    "AcquisitionBurstFrameCount": "AcquisitionFrameCount",
     "DeviceSerialNumber": "DeviceID",
     "TimestampLatch": "GevTimestampControlLatch",
     "TimestampLatchValue": "GevTimestampValue",
@@ -215,7 +264,7 @@ _LEGACY_NAMES = {
     "PtpDataSetLatch": "GevIEEE1588DataSetLatch",
 }
 
-_LEGACY_LACKS = frozenset({"DeviceIndicatorMode"})
+_LEGACY_LACKS = frozenset({"DeviceIndicatorMode", "SequencerMode", "LUTMode"})
 """What cameras had not yet: these are found by what their output line lights."""
 
 _LEGACY_STEPS = {
@@ -237,6 +286,4 @@ def _as_legacy(feature: Feature) -> Feature:
         return replace(renamed, kind="scaled", length=4, scale=_LEGACY_STEPS[feature.key])
     if feature.key == "Gain":
         return replace(renamed, kind="integer", length=4, scale=GAIN_STEP_DB, unit="")
-    if feature.key == "TriggerSelector":
-        return replace(renamed, entries={"FrameStart": 0, "AcquisitionStart": 1})
     return renamed

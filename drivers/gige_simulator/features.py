@@ -9,6 +9,19 @@ Kind = Literal["integer", "float", "scaled", "boolean", "enumeration", "command"
 Access = Literal["RO", "RW", "WO"]
 
 MONO8 = 0x01080001
+PIXEL_FORMATS = {
+    "Mono8": MONO8,
+    "BayerRG8": 0x01080009,
+    "Mono10": 0x01100003,
+    "Mono10Packed": 0x010C0004,
+    "Mono10p": 0x010A0046,
+    "Mono12": 0x01100005,
+    "Mono12Packed": 0x010C0006,
+    "Mono12p": 0x010C0047,
+    "Mono14": 0x01100025,
+    "Mono16": 0x01100007,
+}
+"""Codes of pixel formats (PFNC 2.1): bits 16 to 23 are the bits of a pixel on the wire."""
 PTP_STATES = (
     "Initializing",
     "Faulty",
@@ -39,6 +52,7 @@ class Feature:
     maximum: float = 0xFFFFFFFF
     increment: int = 1
     limit: tuple[str, str] | None = None  # keys of two features: the maximum is the first minus the second
+    bounds: tuple[str, str] | None = None  # keys of two features: the range of a float
     scale: float = 1.0
     unit: str = ""
     entries: Mapping[str, int] = field(default_factory=dict)

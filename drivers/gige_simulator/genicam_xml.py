@@ -62,6 +62,9 @@ def _nodes(feature: Feature, registers: Registers) -> Iterator[str]:
     )
     name, value = feature.name, f"<pValue>{feature.name}Reg</pValue>"
     bounds = f"<Min>{feature.minimum:g}</Min><Max>{feature.maximum:g}</Max>"
+    if feature.bounds:
+        least, greatest = (registers.features[key].name for key in feature.bounds)
+        bounds = f"<pMin>{least}</pMin><pMax>{greatest}</pMax>"
     if feature.kind == "string":
         yield _register(feature, registers, kind="StringReg", name=name)
         return
@@ -121,7 +124,7 @@ def _register(feature: Feature, registers: Registers, *, kind: str, name: str) -
     index = ""
     if feature.selector:
         selector = registers.features[feature.selector].name
-        step = registers.address(feature.key, 1) - registers.address(feature.key, 0)
+        step = feature.length  # banks lie one after the other
         index = f'<pIndex Offset="{step}">{selector}Reg</pIndex>'
     number = ""
     if kind != "StringReg":

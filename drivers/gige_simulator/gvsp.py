@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.gige_simulator.features import CHUNKS, MONO8
+from drivers.gige_simulator.features import CHUNKS, MONO8, PIXEL_FORMATS
 from pipeline.arrays import GreyImage
 
 IP_UDP_BYTES = 28
@@ -19,7 +19,8 @@ EXTENDED_HEADER = struct.Struct(">HHIQI")
 
 _LEADER, _TRAILER, _PAYLOAD = 1, 2, 3
 _EXTENDED_IDS = 0x80
-_IMAGE, _WITH_CHUNKS = 0x0001, 0x4000
+_IMAGE = 0x0001
+_OLD_CHUNKS = 0x0004
 _IMAGE_CHUNK = 0x100
 
 Packet = bytes | memoryview
@@ -36,25 +37,46 @@ class Block:
     image: GreyImage
     offset_px: tuple[int, int]
     chunks: tuple[tuple[str, int | float], ...] | None  # None: chunk mode is off
+    chunk_payload: int = 0x4001  # payload type with chunks
+    pixel_format: str = "Mono8"
 
 
 def packets(block: Block) -> Sequence[Packet]:
     """Return leader, payload and trailer of a block; the index is the packet id. The image is copied."""
     height, width = block.image.shape
-    payload = np.ascontiguousarray(block.image).reshape(-1)
+    payload = in_format(np.ascontiguousarray(block.image).reshape(-1), block.pixel_format)
     payload_type = _IMAGE
     if block.chunks is not None:
-        payload_type |= _WITH_CHUNKS
-        tail = _chunk_tail(width * height, block.chunks)
+        payload_type = block.chunk_payload
+        tail = _chunk_tail(payload.size, block.chunks)
         payload = np.concatenate([payload, np.frombuffer(tail, np.uint8)])
     bodies = _payload_packets(block, payload)
-    leader = _header(block, _LEADER, 0) + struct.pack(
-        ">HHQIIIIIHH", 0, payload_type, block.device_ns, MONO8, width, height, *block.offset_px, 0, 0
-    )
+    leader = _header(block, _LEADER, 0) + struct.pack(">HHQ", 0, payload_type, block.device_ns)
+    if payload_type != _OLD_CHUNKS:  # these say nothing of the image
+        code = PIXEL_FORMATS[block.pixel_format]
+        leader += struct.pack(">IIIIIHH", code, width, height, *block.offset_px, 0, 0)
     trailer = _header(block, _TRAILER, len(bodies) + 1) + struct.pack(">HHI", 0, payload_type, height)
     if block.chunks is not None:
         trailer += struct.pack(">II", payload.size, 0)  # length of the chunk data, layout id
     return [leader, *bodies, trailer]
+
+
+def in_format(grey: GreyImage, name: str) -> GreyImage:
+    """Return grey pixels (N,) as bytes of a pixel format, their lower bits set: a receiver must not look at them."""
+    code = PIXEL_FORMATS[name]
+    if code == MONO8:
+        return grey
+    n_bits = int("".join(filter(str.isdigit, name)))
+    deep = grey.astype(np.uint16) << (n_bits - 8) | ((1 << (n_bits - 8)) - 1)
+    if name.endswith("p"):
+        bits = np.unpackbits(deep.astype("<u2").view(np.uint8).reshape(-1, 2), axis=1, bitorder="little")
+        return np.packbits(bits[:, :n_bits].reshape(-1), bitorder="little")
+    if name.endswith("Packed"):
+        first, second = np.pad(deep, (0, deep.size % 2)).reshape(-1, 2).T
+        low = (1 << (n_bits - 8)) - 1
+        triple = (first >> (n_bits - 8), first & low | (second & low) << 4, second >> (n_bits - 8))
+        return np.stack(triple, axis=1).astype(np.uint8).reshape(-1)[: -(-deep.size * 12 // 8)]
+    return deep.astype("<u2").view(np.uint8)
 
 
 def unavailable(block_id: int, packet_id: int, status: int, *, has_extended_ids: bool) -> bytes:

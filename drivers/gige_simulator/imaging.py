@@ -55,10 +55,34 @@ class Imaging:
             self._note(f"image source gave {image.dtype} {image.shape}, not uint8 {shape}: nothing sent")
             return None
         self._adapt(float(image[::8, ::8].mean()), exposure)
+        image = self._as_left(image)
         top, left = registers.number("OffsetY"), registers.number("OffsetX")
         return self._spoilt(
             image[top : top + registers.number("Height"), left : left + registers.number("Width")]
         )
+
+    def _as_left(self, image: GreyImage) -> GreyImage:
+        """Return the image as features outside of region and exposure make it."""
+        registers = self._registers
+        if registers.choice("TestPattern") != "Off":
+            image = np.broadcast_to(np.arange(image.shape[1], dtype=np.uint8), image.shape)
+        across, down = (
+            registers.product(f"Binning{direction}") * registers.number(f"Decimation{direction}")
+            for direction in ("Horizontal", "Vertical")
+        )
+        image = image[::down, ::across]
+        image = image[
+            :: -1 if registers.number("ReverseY") else 1, :: -1 if registers.number("ReverseX") else 1
+        ]
+        levels = np.arange(256.0)
+        if registers.number_or("GammaEnable", 0) or registers.choice_or("LUTMode", "Off") == "Gamma":
+            levels = 255 * (levels / 255) ** registers.quantity("Gamma")
+        if registers.number_or("LUTEnable", 0):
+            levels = 255 - levels
+        if black := registers.quantity("BlackLevel"):
+            levels = levels + black
+        table = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+        return image if np.array_equal(table, np.arange(256)) else table[image]
 
     def _spoilt(self, image: GreyImage) -> GreyImage:
         faults = self._faults

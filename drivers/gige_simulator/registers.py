@@ -8,6 +8,7 @@ import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from math import prod
 
 from drivers.gige_simulator.features import Feature
 
@@ -63,13 +64,14 @@ class _Register:
 class Registers:
     """Memory with rules of access; values in `live` are computed at every read."""
 
-    def __init__(self, features: Sequence[Feature], *, clamps: bool) -> None:
+    def __init__(self, features: Sequence[Feature], *, clamps: bool, encoding: str = "utf-8") -> None:
         self.features = {feature.key: feature for feature in features}
         self.live: dict[str, Callable[[int], int | float]] = {}
         self.is_acquiring = False
         self.xml = b""
         self.version = 0  # goes up whenever a setting may have changed
         self._clamps = clamps
+        self._encoding = encoding  # of texts
         self._registers: dict[int, _Register] = {}
         self._addresses = self._allot()
         end = max(address + self._registers[address].length for address in self._registers)
@@ -121,7 +123,7 @@ class Registers:
         address = self._addresses[key, bank]
         data = bytes(self._memory[address : address + feature.length])
         if feature.kind == "string":
-            return data.split(b"\0")[0].decode("latin-1")
+            return data.split(b"\0")[0].decode(self._encoding)
         if feature.kind == "float":
             return float(struct.unpack(">d", data)[0])
         raw = _extract(feature, int.from_bytes(data, "big"))
@@ -140,12 +142,28 @@ class Registers:
         value = self.number(key, bank)
         return next(name for name, number in self.features[key].entries.items() if number == value)
 
+    def product(self, key: str) -> int:
+        """Return the product of the values of an integer in all banks."""
+        return prod(self.number(key, bank) for bank in range(self.n_banks(self.features[key])))
+
+    def number_or(self, key: str, default: int, bank: int = 0) -> int:
+        """Return the value of an integer, boolean or enumeration; the default in a camera without it."""
+        return self.number(key, bank) if key in self.features else default
+
+    def quantity_or(self, key: str, default: float, bank: int = 0) -> float:
+        """Return the value of a float; the default in a camera without it."""
+        return self.quantity(key, bank) if key in self.features else default
+
+    def choice_or(self, key: str, default: str, bank: int = 0) -> str:
+        """Return the name of the chosen entry of an enumeration; the default in a camera without it."""
+        return self.choice(key, bank) if key in self.features else default
+
     def put(self, key: str, value: Value, bank: int = 0) -> None:
         """Set the value of a feature."""
         feature = self.features[key]
         address = self._addresses[key, bank]
         if isinstance(value, str):
-            data = value.encode("latin-1")[: feature.length].ljust(feature.length, b"\0")
+            data = value.encode(self._encoding)[: feature.length].ljust(feature.length, b"\0")
         elif feature.kind == "float":
             data = struct.pack(">d", value)
         else:
@@ -162,7 +180,7 @@ class Registers:
         struct.pack_into(">I", self._memory, address, word & 0xFFFFFFFF)
 
     def put_text(self, address: int, text: str) -> None:
-        self._memory[address : address + len(text)] = text.encode("latin-1")
+        self._memory[address : address + len(text)] = text.encode("ascii")
 
     def defaults(self) -> dict[Key, Value]:
         """Return the content of the user set `Default`."""
@@ -251,12 +269,14 @@ class Registers:
             if value in feature.entries.values():
                 return value
             raise RefusedError(AckStatus.INVALID_PARAMETER)
-        maximum = feature.maximum
+        minimum, maximum = feature.minimum, feature.maximum
+        if feature.bounds:
+            minimum, maximum = map(self.quantity, feature.bounds)
         if feature.limit:
             whole, part = feature.limit
             maximum = self.number(whole) - self.number(part)
         step = None if feature.kind == "float" else feature.increment
-        lowest, highest = round(feature.minimum / feature.scale, 6), round(maximum / feature.scale, 6)
+        lowest, highest = round(minimum / feature.scale, 6), round(maximum / feature.scale, 6)
         if lowest <= value <= highest and (step is None or value % step == 0):
             return value
         if not self._clamps or value != value:  # nan

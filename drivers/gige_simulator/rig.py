@@ -1,7 +1,8 @@
 """The simulated rig: GigE Vision cameras, a light gate and a belt in one process, which replay one recording.
 
-The belt lets a stone of the recording close the gate's beam; the gate reports it to the host and pulses Line1 of all
-cameras; each waits for its trigger delay, exposes, and sends the recorded image of that stone.
+The belt lets a stone of the recording close the gate's beam; the gate reports it to the host and pulses a line of all
+cameras, at once or after a delay of its own; each waits for its trigger delay, exposes, and sends the recorded image
+of that stone.
 """
 
 import ipaddress
@@ -21,13 +22,13 @@ from drivers.gige_simulator.camera import CameraDesign, SimulatedCamera
 from drivers.gige_simulator.counters import Counters
 from drivers.gige_simulator.gate import GateDesign, SimulatedGate
 from drivers.gige_simulator.hopper import Drop, Hopper, read_fall
+from drivers.gige_simulator.personalities import PERSONALITIES
 from drivers.gige_simulator.request_socket import request_socket
 from drivers.gige_simulator.rig_requests import RigRequests, counters_of
 from drivers.gige_simulator.sources import SIGHT_MS, Images, Scene
 from drivers.gige_simulator.uplink import Uplink
 from pipeline.frames import BundleKind, CameraId
 
-TRIGGER_LINE = "Line1"
 MAX_EMPTY = 5
 """How many exposures of the empty rig are kept in memory; they are seen in turn while no stone is in view."""
 EXPOSURE_US = 20.0
@@ -47,6 +48,8 @@ class RigDesign:
     first_address: str = "127.0.0.2"  # of the first camera; the others have the addresses after it
     n_cameras: int | None = None  # how many of the recording's, from the first; None: all
     legacy_every: int = 4  # every so many cameras one speaks the older dialect; 0: none
+    vendors: tuple[str, ...] = ()  # whose ways the cameras have, in turn; empty: the simulator's own
+    gate_delay_ms: float = 0.0  # from the closed beam to the pulse to the cameras; the host is told at once
     rate_hz: float = 4.0
     is_looping: bool = False
     only_stones: bool = False  # the belt leaves out recorded exposures of the empty rig
@@ -102,6 +105,7 @@ class SimulatedRig:
         self._control = design.control
         self._requests = RigRequests(cameras=self.cameras, gate=self.gate, belt=self.belt)
         self._running = ExitStack()
+        self._gate_delay_ns = round(design.gate_delay_ms * 1e6)
         self._last_edge_ns = 0
         self._linger_ns = round(design.fall_ms * 1e6) + LINGER_NS
 
@@ -165,7 +169,7 @@ class SimulatedRig:
 
     def _pulse(self, at_ns: int) -> None:
         for camera in self.cameras.values():
-            camera.line(TRIGGER_LINE, at_ns)
+            camera.line(at_ns=at_ns + self._gate_delay_ns)
 
 
 def _is_sent(counters: Counters) -> bool:
@@ -184,6 +188,9 @@ def _camera_designs(design: RigDesign, recording: Recording) -> Iterator[CameraD
             address=str(first + index),
             serial=known.get(camera) or f"SIM{index + 1:04d}",
             user_name=camera,
+            personality=PERSONALITIES[design.vendors[index % len(design.vendors)]]
+            if design.vendors
+            else None,
             dialect="legacy" if design.legacy_every and (index + 1) % design.legacy_every == 0 else "sfnc",
             image_size_px=recording.image_size_px,
             clock_offset_ns=dice.randrange(MAX_CLOCK_OFFSET_NS),

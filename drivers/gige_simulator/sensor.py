@@ -59,6 +59,7 @@ class Sensor:
         self._imaging = imaging
         self._on_strobe = on_strobe
         self._trigger = TriggerInput(registers)
+        self._ways = design.ways
         self._changed = threading.Condition()
         self._plans: list[tuple[int, int, Plan]] = []
         self._order = count()
@@ -130,7 +131,8 @@ class Sensor:
             return
         rising ^= bool(self._registers.number("LineInverter", bank))
         (self._high.add if rising else self._high.discard)(bank)
-        self.edge(name, at_ns, rising=rising)
+        for source in [entry for entry, line in self._ways.sources.items() if line == name]:
+            self.edge(source, at_ns, rising=rising)
 
     def edge(self, source: str, at_ns: int, *, rising: bool | None = None, bank: int | None = None) -> None:
         """Take a trigger signal of `source`.
@@ -141,7 +143,7 @@ class Sensor:
             banks = self._trigger.banks(source, rising=rising)
             if bank is not None:
                 banks = [listening for listening in banks if listening == bank]
-            bounces = rising is not None and self._trigger.bounces(source, at_ns)
+            bounces = rising is not None and self._trigger.bounces(self._ways.sources[source], at_ns)
             if rising is False and not banks:
                 return
             self.tally.edges += 1
@@ -165,6 +167,12 @@ class Sensor:
             return
         self.tally.triggers += 1
         self._push(plan)
+        for n in range(1, self._trigger.n_burst):  # as fast as they are read out
+            self._push(
+                replace(
+                    plan, exposed_ns=plan.exposed_ns + n * self._registers.number("Height") * LINE_TIME_NS
+                )
+            )
         if self._faults.doubled_triggers > 0:
             self._faults.doubled_triggers -= 1
             self._push(replace(plan, exposed_ns=plan.exposed_ns + round(DOUBLE_AFTER_MS * 1e6)))
@@ -236,7 +244,7 @@ class Sensor:
             if not self._is_current(run):
                 self.tally.aborted += 1
                 return
-            has_extended_ids = registers.choice("GevGVSPExtendedIDMode") == "On"
+            has_extended_ids = registers.choice_or("GevGVSPExtendedIDMode", "Off") == "On"
             self._block_id = self._block_id + 1 if has_extended_ids else self._block_id % 0xFFFF + 1
             if image is None:
                 self.tally.unexposed += 1
@@ -280,6 +288,8 @@ class Sensor:
             image=image,
             offset_px=(registers.number("OffsetX"), registers.number("OffsetY")),
             chunks=chunks if registers.number("ChunkModeActive") else None,
+            chunk_payload=self._ways.chunk_payload,
+            pixel_format=registers.choice("PixelFormat"),
         )
 
     def _strobe(self, plan: Plan) -> None:

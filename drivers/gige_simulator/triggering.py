@@ -11,7 +11,8 @@ from drivers.gige_simulator.registers import Registers
 LINE_TIME_NS = 8_000
 """Time to read out one line of the sensor: 8.2 ms for 1024 lines."""
 
-_FRAME, _BURST = 0, 1
+_FRAME_TRIGGERS = frozenset({"FrameStart"})
+_BURST_TRIGGERS = frozenset({"FrameBurstStart", "AcquisitionStart"})
 _ACTIVATIONS = {True: "RisingEdge", False: "FallingEdge"}
 
 
@@ -26,16 +27,26 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Settings:
-    """The registers that an edge depends on, read once per change: edges must be processed quickly."""
+    """The registers that an edge depends on, read once per change: edges must be processed quickly.
+
+    Banks are the entries of the trigger selector.
+    """
 
     version: int
-    modes: tuple[bool, bool]
-    sources: tuple[str, str]
-    activations: tuple[str, str]
-    delays_ns: tuple[int, int]
+    on: frozenset[int]  # banks of triggers that are on
+    frame: int | None  # bank of the trigger of single frames, if there is one
+    are_bursts: (
+        bool  # whether all triggers that are on start frames or bursts; others are waited for without end
+    )
+    sources: tuple[str, ...]
+    activations: tuple[str, ...]
+    delays_ns: tuple[int, ...]
     debounce_ns: Mapping[str, int]
     exposure_us: float
     readout_ns: int
+    period_ns: int  # shortest time between two triggers
+    n_burst: int
+    is_timed: bool  # exposures are as long as the exposure time says
 
 
 class TriggerInput:
@@ -46,25 +57,31 @@ class TriggerInput:
         self._settings = _read(registers)
         self._last_edge_ns: dict[str, int] = {}
         self._last_end_ns: int | None = None
+        self._last_trigger_ns: int | None = None
         self._is_burst_started = False
 
     def reset(self) -> None:
         """Forget the last exposure, as at the start of an acquisition."""
-        self._last_end_ns = None
+        self._last_end_ns = self._last_trigger_ns = None
         self._is_burst_started = False
 
     def is_triggered(self) -> bool:
         """Whether any trigger is on; otherwise the camera runs freely."""
-        return any(self._current().modes)
+        return bool(self._current().on)
+
+    @property
+    def n_burst(self) -> int:
+        """Frames per trigger, if no trigger of single frames is on."""
+        settings = self._current()
+        return 1 if settings.frame in settings.on or not settings.on else settings.n_burst
 
     def banks(self, source: str, *, rising: bool | None = None) -> list[int]:
         """Return the triggers that are on and listen to a source; `rising` is None for a source without edges."""
         settings = self._current()
         return [
             bank
-            for bank in (_FRAME, _BURST)
-            if settings.modes[bank]
-            and settings.sources[bank] == source
+            for bank in sorted(settings.on)
+            if settings.sources[bank] == source
             and (rising is None or settings.activations[bank] in (_ACTIVATIONS[rising], "AnyEdge"))
         ]
 
@@ -76,19 +93,28 @@ class TriggerInput:
 
     def starts_burst(self, banks: list[int]) -> bool:
         """True when these triggers only enable the next frame trigger: with both on, a burst is one frame."""
-        if not all(self._current().modes) or _BURST not in banks:
+        settings = self._current()
+        if settings.frame not in settings.on or len(settings.on) == 1 or banks == [settings.frame]:
             return False
         self._is_burst_started = True
-        return _FRAME not in banks
+        return settings.frame not in banks
 
     def accept(self, banks: list[int], at_ns: int) -> Plan | None:
         """Return the exposure that these triggers cause at `at_ns`; None when the camera is not ready for one."""
         settings = self._current()
-        if all(settings.modes) and not self._is_burst_started:
+        is_frame = settings.frame in settings.on
+        if is_frame and len(settings.on) > 1 and not self._is_burst_started:
             return None
-        plan = self.plan(at_ns, at_ns + settings.delays_ns[_FRAME if _FRAME in banks else _BURST])
+        if not (settings.are_bursts and settings.is_timed):
+            return None
+        if self._last_trigger_ns is not None and at_ns - self._last_trigger_ns < settings.period_ns:
+            return None
+        bank = settings.frame if settings.frame in banks else banks[0]
+        assert bank is not None  # noqa: S101 - it is among the banks
+        plan = self.plan(at_ns, at_ns + settings.delays_ns[bank])
         if plan is not None:
             self._is_burst_started = False
+            self._last_trigger_ns = at_ns
         return plan
 
     def plan(self, trigger_ns: int, exposed_ns: int) -> Plan | None:
@@ -111,18 +137,25 @@ class TriggerInput:
 
 def _read(registers: Registers) -> _Settings:
     lines = registers.features["LineSelector"].entries
+    selectors = tuple(registers.features["TriggerSelector"].entries)
+    banks = range(len(selectors))
+    on = frozenset(bank for bank in banks if registers.choice("TriggerMode", bank) == "On")
+    is_limited = registers.number("AcquisitionFrameRateEnable")
     return _Settings(
         version=registers.version,
-        modes=(registers.choice("TriggerMode", 0) == "On", registers.choice("TriggerMode", 1) == "On"),
-        sources=(registers.choice("TriggerSource", 0), registers.choice("TriggerSource", 1)),
-        activations=(registers.choice("TriggerActivation", 0), registers.choice("TriggerActivation", 1)),
-        delays_ns=(
-            round(registers.quantity("TriggerDelay", 0) * 1000),
-            round(registers.quantity("TriggerDelay", 1) * 1000),
-        ),
+        on=on,
+        frame=next((bank for bank in banks if selectors[bank] in _FRAME_TRIGGERS), None),
+        are_bursts=all(selectors[bank] in _FRAME_TRIGGERS | _BURST_TRIGGERS for bank in on),
+        sources=tuple(registers.choice("TriggerSource", bank) for bank in banks),
+        activations=tuple(registers.choice_or("TriggerActivation", "RisingEdge", bank) for bank in banks),
+        delays_ns=tuple(round(registers.quantity_or("TriggerDelay", 0.0, bank) * 1000) for bank in banks),
         debounce_ns={
-            line: round(registers.quantity("LineDebouncerTime", bank) * 1000) for line, bank in lines.items()
+            line: round(registers.quantity_or("LineDebouncerTime", 0.0, bank) * 1000)
+            for line, bank in lines.items()
         },
         exposure_us=registers.quantity("ExposureTime"),
         readout_ns=registers.number("Height") * LINE_TIME_NS,
+        period_ns=round(1e9 / registers.quantity("AcquisitionFrameRate")) if is_limited else 0,
+        n_burst=registers.number_or("AcquisitionBurstFrameCount", 1),
+        is_timed=registers.choice_or("ExposureMode", "Timed") == "Timed",
     )
