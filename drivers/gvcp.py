@@ -143,6 +143,15 @@ def action_command(
     return HEADER.pack(KEY, flags, ACTION, len(body), request_id) + body
 
 
+def decoded(text: bytes) -> str:
+    """Return a text of a camera: UTF-8, the last character of which the field may have cut, or else Latin-1."""
+    try:
+        return text.decode()
+    except UnicodeDecodeError as err:
+        is_cut = err.end == len(text) and err.reason == "unexpected end of data" and err.start > 0
+        return text[: err.start].decode() if is_cut else text.decode("latin-1")
+
+
 def _discovery_command(request_id: int) -> bytes:
     return HEADER.pack(KEY, ACK_REQUIRED, DISCOVERY, 0, request_id)
 
@@ -170,7 +179,7 @@ def _parse_acknowledgement(datagram: bytes, address: str) -> DiscoveredCamera | 
         return None
 
     def text(field: slice) -> str:
-        return body[field].split(b"\0")[0].decode("latin-1").strip()
+        return decoded(body[field].split(b"\0")[0]).strip()
 
     return DiscoveredCamera(
         address=address,  # the sender's, at which it can be reached, whatever its registers say

@@ -7,13 +7,24 @@ import struct
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import pytest
 from support.eventually import PATIENCE_S
-from support.gige import INTERFACE, NET, design, place, powered, serial
+from support.gige import INTERFACE, NET, design, place, powered, serial, settings_for
 
+from drivers.cameras.finding import find_camera
 from drivers.gige_simulator.camera import SimulatedCamera
-from drivers.gvcp import GVCP_PORT, DiscoveredCamera, action_command, discover, local_addresses, probe
+from drivers.gige_simulator.personalities import PLAIN
+from drivers.gvcp import (
+    GVCP_PORT,
+    DiscoveredCamera,
+    action_command,
+    decoded,
+    discover,
+    local_addresses,
+    probe,
+)
 
 
 @pytest.fixture
@@ -33,6 +44,31 @@ def test_a_camera_says_who_it_is(camera: SimulatedCamera) -> None:
     assert (device.address, device.serial, device.user_name) == (f"{NET}.2", serial(2), place(2))
     assert len(device.mac.split(":")) == 6
     assert ours(discover([INTERFACE])) == [device]
+
+
+@pytest.mark.parametrize(
+    ("name", "encoding", "told"),
+    [
+        ("Süd", "utf-8", "Süd"),
+        ("Süd", "latin-1", "Süd"),
+        ("相机一", "utf-8", "相机一"),
+        ("Förderband West", "utf-8", "Förderband West"),  # 16 bytes
+        ("相机一", "gbk", "相机一".encode("gbk").decode("latin-1")),  # wrong, but always the same
+    ],
+)
+def test_user_names_are_utf_8_or_else_latin_1(name: str, encoding: str, told: str) -> None:
+    """tiscamera 418; the camera is found by the name as people write it."""
+    with powered(design(user_name=name, personality=replace(PLAIN, encoding=encoding))):
+        found = find_camera(settings_for(design(), address=None, user_name=told, interfaces=(INTERFACE,)))
+    assert (found.address, found.user_name) == (f"{NET}.2", told)
+
+
+def test_a_character_that_the_field_has_cut_is_left_out() -> None:
+    assert decoded("Förderband Ostü".encode()[:16]) == "Förderband Ost"
+    assert decoded("Förderband Süd-1".encode()[:16]) == "Förderband Süd"
+    assert decoded(b"S\xfcd") == "Süd"
+    assert decoded(b"S\xfc") == "Sü"  # Latin-1, whose last character begins none of UTF-8
+    assert decoded(b"") == ""
 
 
 @pytest.mark.usefixtures("camera")
