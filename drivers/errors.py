@@ -125,6 +125,9 @@ class DeviceFault(StrEnum):
         "clock_without_master",
         "its clock follows no PTP master (status {status}): is one running?",
     )
+    FEATURE_PUT_BACK = "feature_put_back", "{feature} was {before}: put back to {after}"
+    FEATURE_STAYS = "feature_stays", "{feature} is {value}, and cannot be put back"
+    ENTRY_INSTEAD = "entry_instead", "has no {wanted} in {feature}: {used} is used"
 
 
 class Told(str):

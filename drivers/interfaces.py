@@ -125,6 +125,7 @@ class CameraVitals:
     model: str | None = None
     address: str | None = None
     temperature_c: float | None = None
+    ptp_status: str | None = None  # such as Slave or Master
     ptp_offset_ns: int | None = None  # from the master's clock
     receive_buffer_bytes: int | None = None  # of the stream's socket, as the kernel granted it
     frames: int = 0  # received whole, since opened
@@ -132,6 +133,7 @@ class CameraVitals:
     missing_packets: int = 0
     resent_packets: int = 0
     warnings: tuple[str, ...] = ()  # what works but needs attention, with the remedy
+    remarks: tuple[str, ...] = ()  # what opening changed, or did in another way; needs no attention
 
 
 class ProcessState(StrEnum):

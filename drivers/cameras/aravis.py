@@ -6,7 +6,7 @@ whether it is there; calls that may block all the same hold this camera's lock a
 
 import math
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -16,8 +16,10 @@ from drivers.cameras.aravis_library import aravis_errors, cleared_tracebacks, lo
 from drivers.cameras.feature_access import AppliedFeature, FeatureAccess
 from drivers.cameras.finding import find_camera
 from drivers.cameras.frame_reader import Allocate, FrameReader, Memory, allocate, new_buffer
-from drivers.cameras.genicam import GigeCameraSettings, all_features
+from drivers.cameras.genicam import Feature, GigeCameraSettings, all_features
 from drivers.cameras.lamp import Lamp, give_strobe_back, strobe_off
+from drivers.cameras.offers import as_offered, put_back
+from drivers.cameras.pixel_formats import CONVERTED, PixelFormat
 from drivers.cameras.stream_filter import max_packet_number, stream_program
 from drivers.cameras.stream_socket import prepare_socket
 from drivers.errors import CameraUnavailableError, DeviceFault, LossCause, Told, told
@@ -29,6 +31,9 @@ PROBE_S = 0.25
 FULL_LINK_MBIT_S = 1000
 FRAME_RETENTION_US = 250_000
 """A frame is given up after so long without a packet; Aravis' default of 0.1 s is too short on a busy machine."""
+HEARTBEAT_MS = 3000
+"""How long a camera waits for a sign of life, as after power-on. Debuggers set minutes, for which it then waits for a
+dead process; with less than Aravis' interval of a second it is lost all the time."""
 POLLED_FEATURES = ("DeviceTemperature", "PtpEnable", "PtpDataSetLatch", "PtpStatus", "PtpOffsetFromMaster")
 """Features that `examine` reports where the camera has them."""
 
@@ -67,6 +72,8 @@ class AravisCamera:
         self._lamp: Lamp | None = None  # while a person is shown the camera
         self._receive_buffer_bytes = 0
         self._warnings: tuple[Told, ...] = ()
+        self._remarks: tuple[Told, ...] = ()
+        self._pixel_format: PixelFormat | None = None  # None: Mono8
         self._is_acquiring = False
 
     @property
@@ -220,12 +227,28 @@ class AravisCamera:
         if settings.packet_size_bytes is not None:
             packets.append(("GevSCPSPacketSize", settings.packet_size_bytes))
         wanted = [*all_features(settings), *packets]
-        self._applied = features.apply(strobe_off(features, wanted) if settings.is_strobe_off else wanted)
+        configured = strobe_off(features, wanted) if settings.is_strobe_off else wanted
+        held, remarks = put_back(features, configured)
+        remarks += self._put_heartbeat_back(configured)
+        self._applied = [*held, *features.apply(as_offered(features, configured, remarks))]
         features.verify(self._applied)  # a later setting may have changed an earlier one
+        self._remarks = tuple(remarks)
+        self._pixel_format = CONVERTED.get(str(features.read("PixelFormat")))
         self._polled = {}
         for name in POLLED_FEATURES:
             if own := features.own_name(name):
                 self._polled[name] = own
+
+    def _put_heartbeat_back(self, configured: Sequence[Feature]) -> list[Told]:
+        """Set the heartbeat timeout by its register, which every camera has under this address; return the remark."""
+        names = {"GevHeartbeatTimeout", "DeviceLinkHeartbeatTimeout"}
+        before_ms = self._register(_HEARTBEAT_MS)
+        if before_ms == HEARTBEAT_MS or names & {name for name, _ in configured}:
+            return []
+        with aravis_errors(self.id, "set its heartbeat timeout"):
+            self._camera.get_device().write_register(_HEARTBEAT_MS, HEARTBEAT_MS)
+        name, after = "GevHeartbeatTimeout", str(self._register(_HEARTBEAT_MS))
+        return [told(DeviceFault.FEATURE_PUT_BACK, feature=name, before=str(before_ms), after=after)]
 
     def _prepare_stream(self, address: str) -> None:
         settings, aravis = self._settings, load_aravis(self.id)
@@ -270,6 +293,7 @@ class AravisCamera:
             memory=self._memory,
             make_buffer=make_buffer,
             image_size_px=settings.image_size_px,
+            pixel_format=self._pixel_format,
             control_lost=self._control_lost,
         )
 
@@ -307,16 +331,18 @@ class AravisCamera:
             raise CameraUnavailableError(self.id, problem, LossCause.CONTROL_LOST) from err
 
     def _vitals(self, device: gvcp.DiscoveredCamera) -> CameraVitals:
-        polled, warnings, ptp_offset_ns = self._poll(), list(self._warnings), None
+        polled, warnings, ptp_status, ptp_offset_ns = self._poll(), list(self._warnings), None, None
         if polled.get("PtpEnable"):
             ptp_offset_ns = polled.get("PtpOffsetFromMaster")
-            if (status := polled.get("PtpStatus", "Slave")) != "Slave":
-                warnings.append(told(DeviceFault.CLOCK_WITHOUT_MASTER, status=str(status)))
+            ptp_status = polled.get("PtpStatus", "Slave")
+            if ptp_status not in ("Slave", "Master"):  # whether it may be the master only the rig knows
+                warnings.append(told(DeviceFault.CLOCK_WITHOUT_MASTER, status=ptp_status))
         return CameraVitals(
             serial=device.serial,
             model=device.model,
             address=device.address,
             temperature_c=polled.get("DeviceTemperature"),
+            ptp_status=ptp_status,
             ptp_offset_ns=ptp_offset_ns,
             receive_buffer_bytes=self._receive_buffer_bytes,
             frames=self._counter("n_completed_buffers"),
@@ -324,6 +350,7 @@ class AravisCamera:
             missing_packets=self._counter("n_missing_packets"),
             resent_packets=self._counter("n_resent_packets"),
             warnings=tuple(warnings),
+            remarks=self._remarks,
         )
 
     def _poll(self) -> dict[str, Any]:

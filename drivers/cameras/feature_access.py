@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from drivers.cameras.aravis_library import aravis_errors
-from drivers.cameras.genicam import DEFAULTS_OF_ABSENT, OTHER_NAMES, WRITE_ONLY, Feature, Value
+from drivers.cameras.genicam import DEFAULTS_OF_ABSENT, OTHER_NAMES, REMEDIES, WRITE_ONLY, Feature, Value
 from drivers.errors import CameraUnavailableError, LossCause
 from pipeline.frames import CameraId
 
@@ -80,12 +80,21 @@ class FeatureAccess:
         with aravis_errors(self._camera, f"ask for the entries of {own}"):
             return list(self._device.dup_available_enumeration_feature_values_as_strings(own))
 
+    def lowest(self, own: str) -> float:
+        """Return the least value of a number."""
+        return self._bounds(own)[0]
+
+    def can_be(self, own: str, value: float) -> bool:
+        """True when a number's present range has this value."""
+        low, high = self._bounds(own)
+        return low <= value <= high
+
     def execute(self, own: str) -> None:
         """Execute a command."""
         with aravis_errors(self._camera, f"execute {own}"):
             self._device.execute_command(own)
 
-    def _write(self, own: str, value: Value) -> None:
+    def _write(self, own: str, value: Value, name: str = "") -> None:
         setters = {
             bool: self._device.set_boolean_feature_value,
             int: self._device.set_integer_feature_value,
@@ -96,7 +105,8 @@ class FeatureAccess:
             with aravis_errors(self._camera, f"set {own} to {value}"):
                 setters[type(value)](own, value)
         except CameraUnavailableError as err:
-            raise CameraUnavailableError(self._camera, f"{err.problem}{self._range(own)}", err.cause) from err
+            problem = f"{err.problem}{self._range(own)}{_remedy(name)}"
+            raise CameraUnavailableError(self._camera, problem, err.cause) from err
 
     def _apply(self, name: str, wanted: Value) -> AppliedFeature | None:
         """Write one feature and read it back; None for what cannot be read back, and for what the camera lacks."""
@@ -105,21 +115,23 @@ class FeatureAccess:
             if (name, wanted) in DEFAULTS_OF_ABSENT:
                 return None
             others = "".join(f" nor {other}" for other in OTHER_NAMES.get(name, ()))
-            raise self._error(f"has no {name}{others}: remove it from the camera's features")
+            remedy = _remedy(name) or ": remove it from the camera's features"
+            raise self._error(f"has no {name}{others}{remedy}")
         if isinstance(self._device.get_feature(own), self._aravis.GcCommand):
             self.execute(own)
             return None
         value = self._converted(own, wanted)
         if name in WRITE_ONLY:
-            self._write(own, value)
+            self._write(own, value, name)
             return None
         if not self._is_same(
             own, self.read(own), value
         ):  # only then: a feature may be fixed and not writable
-            self._write(own, value)
+            self._write(own, value, name)
         got = self.read(own)
         if not self._is_same(own, got, value):
-            raise self._error(f"has {own} at {got} after it was set to {value}{self._range(own)}")
+            problem = f"has {own} at {got} after it was set to {value}{self._range(own)}{_remedy(name)}"
+            raise self._error(problem)
         return AppliedFeature(name=own, value=got)
 
     def _kind(self, own: str) -> type[Value]:
@@ -157,18 +169,28 @@ class FeatureAccess:
             increment = self._device.get_float_feature_increment(own)  # raises where there is none
         return abs(got - wanted) <= max(increment, 1e-6 * abs(wanted))
 
-    def _range(self, own: str) -> str:
-        """Return the end of a message: the range of a number, empty for other types and where none is given."""
-        kind = self._kind(own)
-        if kind not in (int, float):
-            return ""
-        with suppress(CameraUnavailableError), aravis_errors(self._camera, f"read the range of {own}"):
-            if kind is int:
+    def _bounds(self, own: str) -> tuple[float, float]:
+        """Return the present range of a number."""
+        with aravis_errors(self._camera, f"read the range of {own}"):
+            if self._kind(own) is int:
                 low, high = self._device.get_integer_feature_bounds(own)
             else:
                 low, high = self._device.get_float_feature_bounds(own)
-            return f": it can do {low:.12g} to {high:.12g}"
+        return low, high
+
+    def _range(self, own: str) -> str:
+        """Return the end of a message: what a number or an enumeration can be, empty where that is not told."""
+        with suppress(CameraUnavailableError):
+            if self._kind(own) in (int, float):
+                low, high = self._bounds(own)
+                return f": it can do {low:.12g} to {high:.12g}"
+            if isinstance(self._device.get_feature(own), self._aravis.GcEnumeration):
+                return f": it can be {', '.join(self.entries(own))}"
         return ""
 
     def _error(self, problem: str) -> CameraUnavailableError:
         return CameraUnavailableError(self._camera, problem, LossCause.WRONG_SETTINGS)
+
+
+def _remedy(name: str) -> str:
+    return f": {REMEDIES[name]}" if name in REMEDIES else ""

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.cameras.pixel_formats import PixelFormat
 from drivers.errors import LossCause
 from drivers.interfaces import CameraLost, EventSink, FrameLost
 from pipeline.frames import CameraId, Frame, Image
@@ -46,6 +47,10 @@ def new_buffer(aravis: Any, n_bytes: int, memory: Memory, allocate: Allocate) ->
     return buffer
 
 
+CHUNKS = "its images come as chunks of data, of an older kind: switch chunk mode off (ChunkModeActive)"
+"""Reason of a lost frame whose payload Aravis takes for chunks without an image (payload type 4)."""
+
+
 class FrameReader:
     """Reads one stream from `start` to `stop`; once `stop` returns nothing more is delivered."""
 
@@ -58,12 +63,14 @@ class FrameReader:
         make_buffer: Callable[[], Any | None],
         image_size_px: tuple[int, int],
         control_lost: threading.Event,
+        pixel_format: PixelFormat | None = None,
     ) -> None:
         self._camera = camera
         self._stream = stream
         self._memory = memory
         self._make_buffer = make_buffer
         self._size_px = image_size_px
+        self._pixel_format = pixel_format  # None: Mono8
         self._control_lost = control_lost
         self._is_stopping = threading.Event()
         self._thread: threading.Thread | None = None
@@ -135,12 +142,17 @@ class FrameReader:
     def _image(self, buffer: Any) -> Image | str:
         """Return the buffer's pixels (H, W), without the chunks behind them, or what is wrong with them."""
         width_px, height_px = self._size_px
+        if buffer.get_n_parts() == 0 and buffer.has_chunks():
+            return CHUNKS
         if buffer.get_n_parts() != 1:
             return f"{buffer.get_n_parts()} images in a frame"
         got_px = (buffer.get_image_width(), buffer.get_image_height())
         if got_px != self._size_px:
             return f"wrong size: {got_px[0]} x {got_px[1]}, not {width_px} x {height_px}"
-        pixels = self._memory[hash(buffer)][: height_px * width_px]
+        data, n_pixels = self._memory[hash(buffer)], height_px * width_px
+        pixels = data[:n_pixels]
+        if self._pixel_format is not None:
+            pixels[:] = self._pixel_format.grey(data, n_pixels)  # in the same memory, which the daemon maps
         return pixels.reshape(height_px, width_px)
 
     def _lost(self, reason: str, buffer: Any) -> FrameLost:

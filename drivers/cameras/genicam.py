@@ -15,32 +15,91 @@ Feature = tuple[str, Value]
 """SFNC name and value in SFNC's unit; for an enumeration the entry's name, for a command `True`."""
 
 OTHER_NAMES: dict[str, tuple[str, ...]] = {
+    "AcquisitionBurstFrameCount": ("AcquisitionFrameCount",),
     "AcquisitionFrameRate": ("AcquisitionFrameRateAbs",),
+    "AcquisitionFrameRateEnable": ("AcquisitionFrameRateEnabled",),
+    "BlackLevel": ("BlackLevelRaw",),
     "DeviceTemperature": ("DeviceTemperatureAbs", "TemperatureAbs"),
     "ExposureTime": ("ExposureTimeAbs",),
+    "ExposureTimeMode": ("BslExposureTimeMode",),
     "Gain": ("GainAbs", "GainRaw"),
+    "GammaEnable": ("GammaEnabled",),
     "LineDebouncerTime": ("LineDebouncerTimeAbs",),
     "PtpDataSetLatch": ("GevIEEE1588DataSetLatch",),
     "PtpEnable": ("GevIEEE1588",),
     "PtpOffsetFromMaster": ("GevIEEE1588OffsetFromMaster",),
     "PtpStatus": ("GevIEEE1588Status",),
+    "TestPattern": ("TestImageSelector",),
     "TriggerDelay": ("TriggerDelayAbs",),
 }
-"""Names of features in cameras from before SFNC 2. `GainRaw` alone has another unit, the camera's own steps."""
+"""Names of features in cameras from before SFNC 2, and of vendors. `GainRaw` and `BlackLevelRaw` alone have another
+unit, the camera's own steps."""
 
 DEFAULTS_OF_ABSENT: frozenset[Feature] = frozenset(
     {
-        ("OffsetX", 0),
-        ("OffsetY", 0),
         ("ExposureAuto", "Off"),
         ("Gain", 0.0),
         ("GainAuto", "Off"),
         ("LineMode", "Output"),
+        ("TriggerActivation", "RisingEdge"),
         ("TriggerDelay", 0.0),
+        ("TriggerSelector", "FrameStart"),
         ("DeviceLinkThroughputLimitMode", "On"),
     }
 )
 """Settings that need not be written to a camera without the feature: it behaves so anyway."""
+
+REMEDIES: dict[str, str] = {
+    "AcquisitionBurstFrameCount": "it has no trigger of single frames, only one after which it runs freely",
+    "GevSCPSPacketSize": "set packet_size_bytes to a size that all cameras can send",
+    "TriggerDelay": "let gate or timer make the delay, and set delay_outside_ms",
+    "TriggerSource": "set trigger, of the rig or of this camera, to one of them",
+}
+"""What to do about a setting that comes from elsewhere than from `features`, when a camera cannot do it."""
+
+NEUTRAL: tuple[Feature, ...] = (
+    ("SequencerMode", "Off"),  # first: it locks others
+    ("ChunkModeActive", False),
+    ("ReverseX", False),
+    ("ReverseY", False),
+    ("BinningHorizontal", 1),
+    ("BinningVertical", 1),
+    ("DecimationHorizontal", 1),
+    ("DecimationVertical", 1),
+    ("OffsetX", 0),
+    ("OffsetY", 0),
+    ("TestPattern", "Off"),
+    ("GammaEnable", False),
+    ("LUTEnable", False),
+    ("LUTMode", "Off"),
+    ("Gamma", 1.0),
+    ("BlackLevel", 0.0),
+    ("ExposureMode", "Timed"),
+    ("AcquisitionFrameRateEnable", False),  # it limits triggers, too
+    ("TriggerDivider", 1),
+)
+"""What opening puts back where the camera has the feature and the configuration does not set it: values under which the
+image is the sensor's, from its corner, at each trigger."""
+
+SELECTORS: dict[str, str] = {
+    "BinningHorizontal": "BinningSelector",
+    "BinningVertical": "BinningSelector",
+    "BlackLevel": "BlackLevelSelector",
+    "DecimationHorizontal": "DecimationSelector",
+    "DecimationVertical": "DecimationSelector",
+    "LUTEnable": "LUTSelector",
+    "TestPattern": "TestPatternGeneratorSelector",
+}
+"""Neutral features that some cameras have several times, and what selects among them."""
+
+SWITCHES: dict[str, tuple[str, ...]] = {"Gamma": ("GammaEnable", "LUTMode")}
+"""Features that have no effect while one of these, which the camera has, is neutral."""
+
+HOST_SOURCES = ("Software", "Action")
+"""Beginnings of the trigger sources that are no signal of the camera's own."""
+
+INPUTS = ("Line", "In", "Hardware", "Opt", "TTL")
+"""Beginnings of the trigger sources that are wires to the camera, as vendors name them."""
 
 WRITE_ONLY = frozenset({"ActionDeviceKey"})
 """Features that cannot be read back: SFNC makes the key write-only."""
@@ -101,8 +160,10 @@ class GigeCameraSettings:
 
 
 def trigger_features(*, source: str, activation: str = "RisingEdge", delay_us: float) -> tuple[Feature, ...]:
-    """Return the features for one frame per edge of `source` (`Line1`) or per command (`Software`, `Action1`)."""
-    edge: tuple[Feature, ...] = (("TriggerActivation", activation),) if source.startswith("Line") else ()
+    """Return the features for one frame per edge of `source` (`Line1`, `Timer1Active`) or per command (`Software`)."""
+    edge: tuple[Feature, ...] = ()
+    if not source.startswith(HOST_SOURCES):
+        edge = (("TriggerActivation", activation),)
     return (
         ("TriggerSelector", "FrameStart"),
         ("TriggerMode", "On"),  # first and on its own: Aravis issue 1045
@@ -154,8 +215,6 @@ def all_features(settings: GigeCameraSettings) -> tuple[Feature, ...]:
     return (
         ("AcquisitionMode", "Continuous"),
         ("PixelFormat", "Mono8"),
-        ("OffsetX", 0),  # before the size, which they limit
-        ("OffsetY", 0),
         ("Width", width_px),
         ("Height", height_px),
         *settings.features,

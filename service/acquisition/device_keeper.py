@@ -206,7 +206,10 @@ class DeviceKeeper:
         while self.state is DeviceState.ARMED and not self._is_ending:
             try:
                 if self._examine is not None:
-                    self.vitals = await self.call(self._examine)
+                    previous, self.vitals = self.vitals, await self.call(self._examine)
+                    if self.vitals.remarks != previous.remarks:
+                        for remark in self.vitals.remarks:
+                            log.info("%s device=%s", remark, self.name)
             except DeviceError as err:
                 self._on_lost(err.problem, err.cause)
                 self.mark_lost(err.problem, err.cause)

@@ -201,7 +201,11 @@ class RigCameras:
 
     def statuses(self) -> list[CameraStatus]:
         """Return state, and counters since the start, of all cameras, in the order of the rig."""
-        return [_status(name, camera, self._skew.skew_us(name)) for name, camera in self._cameras.items()]
+        masters = [name for name, camera in self._cameras.items() if _is_clock_master(camera)]
+        return [
+            _status(name, camera, self._skew.skew_us(name), masters if name in masters else [])
+            for name, camera in self._cameras.items()
+        ]
 
     def latest_image(self, name: CameraId) -> Image | None:
         """Return a camera's latest frame, None while there is none."""
@@ -229,14 +233,25 @@ def common_cause(losses: Sequence[DeviceLoss]) -> CodedText:
     return CodedText(f"{lost}{'; ' if are_silent else ', '}{told}", (*lost.findings, *told.findings))
 
 
-def _status(name: CameraId, camera: _RigCamera, skew_us: float | None) -> CameraStatus:
-    """Return the status of a camera: what it says of itself and what was counted have the same names there."""
+def _is_clock_master(camera: _RigCamera) -> bool:
+    return camera.keeper.state is DeviceState.ARMED and camera.keeper.vitals.ptp_status == "Master"
+
+
+def _status(
+    name: CameraId, camera: _RigCamera, skew_us: float | None, masters: Sequence[CameraId]
+) -> CameraStatus:
+    """Return the status of a camera: what it says of itself and what was counted have the same names there.
+
+    `masters` are all masters of clocks if it is one of them: one among slaves is right, several are not.
+    """
     keeper, latencies_ms, now_s = camera.keeper, camera.latencies_ms, time.monotonic()
     counted = camera.earlier + Counter(asdict(camera.counters))
     told: dict[str, Any] = {**asdict(keeper.vitals), **counted, "frames": camera.frames}
     warnings = list(told.pop("warnings"))
     if skew_us is not None and skew_us > MAX_SKEW_US:
         warnings.append(message(Code.CAMERA_SKEWED, skew_us=skew_us))
+    if len(masters) > 1:
+        warnings.append(message(Code.CLOCK_MASTERS, masters=", ".join(masters)))
     if camera.misses >= MAX_MISSES:
         warnings.append(_miss_warning(camera))
     n_recent = sum(now_s - at_s <= FPS_OVER_S for at_s in camera.received_s)

@@ -308,6 +308,8 @@ class CameraStatus(Report):
     """Size of its socket's buffer, as the kernel granted it"""
     temperature_c: float | None = None
     """Temperature of the camera, °C; null when it reports none"""
+    ptp_status: str | None = None
+    """State of its PTP clock as the camera names it, such as `Slave`; null without PTP"""
     ptp_offset_ns: int | None = None
     """Offset from the PTP master's clock; null without PTP"""
     latency_ms: float | None = None
@@ -332,6 +334,8 @@ class CameraStatus(Report):
     """How well it sees"""
     warnings: tuple[Said, ...] = ()
     """What works but needs attention, with the remedy"""
+    remarks: tuple[Said, ...] = ()
+    """What opening it changed, such as a mirrored image that another program had left on, or did in another way"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,6 +27,7 @@ class Device:
         self.threads: set[str] = set()
         self.problem: str | None = None
         self.cause = LossCause.OTHER
+        self.remarks: tuple[str, ...] = ()
 
     def _asked(self, what: str, *, may_fail: bool = False) -> None:
         self.calls.append(what)
@@ -43,7 +44,7 @@ class Device:
 
     def examine(self) -> CameraVitals:
         self._asked("examine", may_fail=True)
-        return CameraVitals(temperature_c=40.0)
+        return CameraVitals(temperature_c=40.0, remarks=self.remarks)
 
     def test_pulse(self) -> None: ...
 
@@ -89,6 +90,16 @@ async def test_it_is_opened_armed_examined_disarmed_and_closed_on_one_thread():
     assert device.calls[:3] == ["open", "arm", "examine"]
     assert (device.calls[-1], keeper.state) == ("close", "closed")
     assert len(device.threads) == 1
+
+
+async def test_what_opening_changed_is_logged_once(caplog: pytest.LogCaptureFixture):
+    caplog.set_level(logging.INFO)
+    device = Device()
+    device.remarks = ("ReverseX was True: put back to False", "has no FrameStart: FrameBurstStart is used")
+    async with kept(device):
+        await until(lambda: device.calls.count("examine") >= 3)
+    messages = [record.getMessage() for record in caplog.records]
+    assert messages == [f"{remark} device=c01" for remark in device.remarks]
 
 
 async def test_a_device_that_does_not_answer_is_asked_less_and_less_often_and_logged_once(
