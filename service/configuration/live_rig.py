@@ -74,6 +74,9 @@ class LiveRigSettings(ABC):
     fall_height_mm: float = FALL_HEIGHT_MM  # from the beam of the gate to the centre of the rig
     start_above_gate_mm: float = 0.0  # of the stone's lowest point over the beam when it starts from rest
     delay_correction_ms: float = 0.0  # measured; negative for the latency of gate and cameras
+    delay_outside_ms: float = (
+        0.0  # part of the delay that gate or timer make, and not the cameras' trigger delay
+    )
     exposure_us: float = 20.0
     flash_us: float | None = None  # of one flash, if shorter than the exposure; only checked, set nowhere
     trigger_skew_us: float = 1.0  # between cameras; of a wired trigger next to none
@@ -95,6 +98,11 @@ class LiveRigSettings(ABC):
             raise ValueError(f"flash_us must be in 0.1..exposure_us, not {self.flash_us:g}")
         if self.trigger_delay_ms <= 0:
             raise ValueError(f"delay_correction_ms leaves a trigger delay of {self.trigger_delay_ms:.1f} ms")
+        if not 0 <= self.delay_outside_ms <= self.trigger_delay_ms:
+            raise ValueError(
+                f"delay_outside_ms must be in 0..{self.trigger_delay_ms:.1f}, the whole delay from gate to exposure,"
+                f" not {self.delay_outside_ms:g}"
+            )
         self.require_unique("id", "serial")
 
     def require_unique(self, *names: str) -> None:
@@ -123,9 +131,19 @@ class LiveRigSettings(ABC):
         return fall_time_ms(self.fall.height_mm, self.fall.speed_at_gate_mm_s) + self.delay_correction_ms
 
     @property
-    def busy_ms(self) -> float:
-        """Return the time from an edge to the end of its exposure, during which cameras ignore further edges."""
+    def camera_delay_ms(self) -> float:
+        """Return the part of the trigger delay that the cameras make."""
+        return self.trigger_delay_ms - self.delay_outside_ms
+
+    @property
+    def exposed_ms(self) -> float:
+        """Return the time from the edge of the light gate to the end of its exposure."""
         return self.trigger_delay_ms + self.exposure_us / 1e3
+
+    @property
+    def busy_ms(self) -> float:
+        """Return the time from a camera's edge to the end of its exposure, during which it ignores further edges."""
+        return self.camera_delay_ms + self.exposure_us / 1e3
 
     @property
     def has_flash(self) -> bool:

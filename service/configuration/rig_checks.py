@@ -101,9 +101,9 @@ def timing_problems(settings: LiveRigSettings, bundling: BundlingParameters) -> 
             f" without a clock has {BUSY_SLACK_MS:g} ms of slack: must be at least"
             f" {settings.busy_ms - BUSY_SLACK_MS:.0f}, not {bundling.dead_time_ms:g}"
         )
-    if abs(bundling.expected_delay_ms - settings.busy_ms) > bundling.window_ms / 2:
+    if abs(bundling.expected_delay_ms - settings.exposed_ms) > bundling.window_ms / 2:
         yield (
-            f"bundling.expected_delay_ms: frames come {settings.busy_ms:.1f} ms after their trigger"
+            f"bundling.expected_delay_ms: frames come {settings.exposed_ms:.1f} ms after their trigger"
             f" (fall of {settings.fall_height_mm:g} mm), not {bundling.expected_delay_ms:g}"
         )
 

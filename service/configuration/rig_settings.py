@@ -1,5 +1,6 @@
 """`[rig]` of the configuration: a recording that is replayed, or cameras and a light gate."""
 
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -7,6 +8,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import Discriminator, Tag
 
 from drivers.cameras.genicam import (
+    HOST_SOURCES,
     Feature,
     GigeCameraSettings,
     action_features,
@@ -24,6 +26,9 @@ from service.base.paths import ConfiguredPath
 from service.base.schema import require_ranges
 from service.bundling.window import BundlingParameters
 from service.configuration.live_rig import LiveRigSettings, Place
+
+SOURCE = re.compile(r"[A-Z][A-Za-z0-9_]{1,63}")
+"""Name of an entry of TriggerSource."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,6 +86,7 @@ class CameraPlace(Place):
 
     address: str | None = None
     user_name: str | None = None
+    trigger: str | None = None  # input of this camera, where it has another name than in the others
     features: tuple[Feature, ...] = ()  # of this camera, written after those of all cameras
 
 
@@ -92,7 +98,9 @@ class AravisRigSettings(LiveRigSettings):
 
     backend: Literal["aravis"]
     cameras: tuple[CameraPlace, ...]
-    trigger: str = "Line1"  # input of the cameras; "software" or "action": this machine triggers them
+    trigger: str = (
+        "Line1"  # source as the cameras name it; "software" or "action": this machine triggers them
+    )
     trigger_activation: Literal["RisingEdge", "FallingEdge"] = "RisingEdge"
     action: ActionKeys = field(default_factory=ActionKeys)
     strobe_line: str | None = None  # output of the cameras that fires the light panels
@@ -110,12 +118,17 @@ class AravisRigSettings(LiveRigSettings):
     def __post_init__(self) -> None:
         LiveRigSettings.__post_init__(self)
         require_ranges(self, link_bytes_s=(1e6, 1e12), uplink_bytes_s=(1e6, 1e12))
-        if not (self.trigger in ("software", "action") or self.trigger.startswith("Line")):
-            raise ValueError(
-                f'trigger must be an input such as "Line1", "software" or "action", not {self.trigger!r}'
-            )
-        if self.strobe_line == self.trigger:
-            raise ValueError(f"strobe_line is an output: it cannot be {self.trigger}, the input of trigger")
+        if self.trigger not in ("software", "action"):
+            _require_source("trigger", self.trigger)
+        for place in self.cameras:
+            if place.trigger is not None:
+                _require_source(f"cameras: trigger of {place.id}", place.trigger)
+                if self.trigger in ("software", "action"):
+                    raise ValueError(
+                        f"cameras: trigger of {place.id}: this machine triggers all cameras ({self.trigger})"
+                    )
+            if self.strobe_line == (source := place.trigger or self.trigger):
+                raise ValueError(f"strobe_line is an output: it cannot be {source}, the input of trigger")
         self.require_unique("address", "user_name")
         for camera in self.cameras:
             try:
@@ -154,7 +167,9 @@ class AravisRigSettings(LiveRigSettings):
 
     def _camera(self, place: CameraPlace, image_size_px: tuple[int, int]) -> GigeCameraSettings:
         keys = {name: getattr(self.action, name) for name in ("device_key", "group_key", "group_mask")}
-        source = {"software": "Software", "action": "Action1"}.get(self.trigger, self.trigger)
+        source = {"software": "Software", "action": "Action1"}.get(
+            self.trigger, place.trigger or self.trigger
+        )
         return GigeCameraSettings(
             id=place.id,
             serial=place.serial,
@@ -169,7 +184,7 @@ class AravisRigSettings(LiveRigSettings):
                 *trigger_features(
                     source=source,
                     activation=self.trigger_activation,
-                    delay_us=round(self.trigger_delay_ms * 1e3),
+                    delay_us=round(self.camera_delay_ms * 1e3),
                 ),
                 *self.features,
                 *place.features,
@@ -178,6 +193,15 @@ class AravisRigSettings(LiveRigSettings):
             packet_delay_ns=self.packet_delay_ns,
             throughput_limit_bytes_s=self.throughput_limit_bytes_s,
             receive_buffer_bytes=self.receive_buffer_bytes,
+        )
+
+
+def _require_source(where: str, source: str) -> None:
+    """Raise `ValueError` unless it can be a trigger source; which of them a camera offers is known once it is open."""
+    if not SOURCE.fullmatch(source) or source.startswith(HOST_SOURCES):
+        raise ValueError(
+            f'{where} must be a source as the cameras name it, such as "Line1", "Input1", "Hardware", "Timer1Active" or'
+            f' "Counter1End", or "software" or "action", not {source!r}'
         )
 
 

@@ -23,7 +23,7 @@ from pipeline.particle import PipelineParameters
 from pipeline.rig.design import nominal_rig
 from service.base.errors import SettingsError, VolumeModelError
 from service.commands.cli import build_app
-from service.configuration.rig_checks import rig_warnings
+from service.configuration.rig_checks import rig_warnings, timing_problems
 from service.configuration.rig_settings import AravisRigSettings, CameraPlace
 from service.configuration.settings import Settings, load_settings, problems, shortcomings
 from service.configuration.volume_models import read_volume_model, write_volume_model
@@ -116,7 +116,22 @@ def test_every_parameter_of_the_pipeline_can_be_set(tmp_path: Path):
         (MINIMAL.replace("[rig]", '[rig]\nbackend = "aravis"'), ["rig.calibration: ", "rig.cameras: "]),
         (LIVE.replace("[rig]", "[rig]\nfall_height_mm = 0"), ["rig: fall_height_mm must be in"]),
         (LIVE.replace("[rig]", "[rig]\ndelay_correction_ms = -250"), ["rig: delay_correction_ms leaves a"]),
-        (LIVE.replace("[rig]", '[rig]\ntrigger = "radio"'), ["rig: trigger must be an input"]),
+        (LIVE.replace("[rig]", '[rig]\ntrigger = "radio"'), ["rig: trigger must be a source"]),
+        (LIVE.replace("[rig]", '[rig]\ntrigger = "Software"'), ['or "software" or "action", not']),
+        (
+            LIVE.replace('id = "c02"', 'id = "c02"\ntrigger = "in 1"'),
+            ["rig: cameras: trigger of c02 must be a"],
+        ),
+        (
+            LIVE.replace("[rig]", '[rig]\nstrobe_line = "Line2"').replace(
+                'id = "c02"', 'id = "c02"\ntrigger = "Line2"'
+            ),
+            ["rig: strobe_line is an output: it cannot be Line2"],
+        ),
+        (
+            LIVE.replace("[rig]", "[rig]\ndelay_outside_ms = 250"),
+            ["rig: delay_outside_ms must be in 0..247.4"],
+        ),
         (LIVE.replace("[rig]", "[rig]\nflash_us = 30"), ["rig: flash_us must be in 0.1..exposure_us"]),
         (LIVE.replace("[rig]", '[rig]\nstrobe_line = "Line1"'), ["rig: strobe_line is an output"]),
         (LIVE.replace("[rig]", "[rig]\npacket_size_bytes = 12000"), ["camera c01: packet_size_bytes"]),
@@ -498,6 +513,40 @@ def test_the_example_has_every_setting_that_check_config_prints():
             }
             assert wrong == {}, name
     assert missing == []
+
+
+@pytest.mark.parametrize("source", ["Line0", "Input1", "Hardware", "Timer1Active", "Counter1End", "TTLIn1"])
+def test_any_source_of_a_camera_can_trigger(source: str, tmp_path: Path) -> None:
+    """pypylon 526, harvesters 233: the delay is a timer's or a counter's, and inputs are not all called Line."""
+    (tmp_path / "stonefall.toml").write_text(LIVE.replace("[rig]", f'[rig]\ntrigger = "{source}"'))
+    rig = load_settings(tmp_path / "stonefall.toml").rig
+    assert isinstance(rig, AravisRigSettings)
+    features = [feature for camera in rig.sought_cameras() for feature in camera.features]
+    assert features.count(("TriggerSource", source)) == len(rig.cameras)
+    assert features.count(("TriggerActivation", "RisingEdge")) == len(rig.cameras)
+
+
+def test_a_camera_whose_input_has_another_name_has_a_trigger_of_its_own(tmp_path: Path) -> None:
+    (tmp_path / "stonefall.toml").write_text(LIVE.replace('id = "c02"', 'id = "c02"\ntrigger = "Line0"'))
+    rig = load_settings(tmp_path / "stonefall.toml").rig
+    assert isinstance(rig, AravisRigSettings)
+    sources = [dict(camera.features)["TriggerSource"] for camera in rig.sought_cameras()]
+    assert sources[:3] == ["Line1", "Line0", "Line1"]
+
+
+def test_a_delay_outside_of_the_cameras_is_not_theirs(tmp_path: Path) -> None:
+    """The gate makes 247.2 of 247.4 ms: frames come as late, and the cameras are ready for the next edge."""
+    (tmp_path / "stonefall.toml").write_text(LIVE.replace("[rig]", "[rig]\ndelay_outside_ms = 247.2"))
+    settings = load_settings(tmp_path / "stonefall.toml")
+    rig = settings.rig
+    assert isinstance(rig, AravisRigSettings)
+    assert list(timing_problems(rig, settings.bundling)) == []
+    assert {dict(camera.features)["TriggerDelay"] for camera in rig.sought_cameras()} == {152.0}
+    assert rig.exposed_ms == pytest.approx(247.372, abs=0.001)
+    assert rig.busy_ms == pytest.approx(0.172, abs=0.001)
+    assert rig.bundling_for(settings.bundling).dead_time_ms == settings.bundling.dead_time_ms
+    whole = replace(rig, delay_outside_ms=rig.trigger_delay_ms)
+    assert {dict(camera.features)["TriggerDelay"] for camera in whole.sought_cameras()} == {0.0}
 
 
 def test_check_config_prints_settings_that_it_reads_again(tmp_path: Path):
