@@ -13,6 +13,7 @@ from drivers.errors import DeviceError, DriverError, RecordingError
 from drivers.factory import AravisBackend, LiveBackend, build_devices, build_gate
 from drivers.files.rig_file import read_rig
 from drivers.gvcp import DiscoveredCamera, discover
+from drivers.interfaces import Camera, CameraVitals
 from pipeline.frames import BundleKind, CameraId, FrameBundle
 from service.acquisition.acquisition import Acquisition, AcquisitionParameters
 from service.acquisition.empty_rig import EmptyRigParameters
@@ -20,7 +21,7 @@ from service.base.status import AcquisitionTarget
 from service.configuration.live_rig import LiveRigSettings
 from service.configuration.rig_settings import AravisRigSettings
 from service.configuration.settings import Settings
-from service.host.finding import Finding, fault, judged, unknown
+from service.host.finding import Finding, HostVerdict, fault, judged, unknown
 from service.host.host import Host
 
 PULSE_S = 30.0
@@ -72,6 +73,7 @@ def check_cameras(rig: AravisRigSettings, host: Host) -> Iterator[Finding]:
             )
     yield from _wrong_ports(rig, found, host)
     yield from _uncalibrated(rig, found)
+    yield from _settings(rig, found)
 
 
 def _find(camera: GigeCameraSettings) -> DiscoveredCamera | DeviceError:
@@ -119,6 +121,53 @@ def _uncalibrated(rig: AravisRigSettings, found: Mapping[CameraId, DiscoveredCam
                 wanted=f"{serial}, with which {rig.calibration} was made",
                 remedy="put the cameras back in their places, or calibrate anew: stonefall calibration start",
             )
+
+
+def _settings(rig: AravisRigSettings, found: Mapping[CameraId, DiscoveredCamera]) -> Iterator[Finding]:
+    """Open each camera that answers, as the daemon does; yield what that changed, or why it cannot be set."""
+    try:
+        backend = rig.backend_for(read_rig(rig.calibration))
+    except (DriverError, KeyError):  # is named among the problems of the configuration
+        return
+    if not found:
+        return
+    devices = build_devices(replace(backend, cameras=tuple(c for c in backend.cameras if c.id in found)))
+    try:
+        with ThreadPoolExecutor(len(found)) as threads:
+            opened = dict(zip(devices.cameras, threads.map(_opened, devices.cameras.values()), strict=True))
+    finally:
+        devices.close()
+    n_set = sum(isinstance(each, CameraVitals) for each in opened.values())
+    yield judged(
+        "settings of cameras",
+        is_good=n_set == len(opened),
+        found=f"{n_set} of {len(opened)} are set as configured",
+        wanted="all that answer",
+        remedy="see below; stonefall cameras --xml ADDRESS prints what one can be set to",
+    )
+    for name, each in opened.items():
+        if isinstance(each, DeviceError):
+            remedy = "change [rig] or its section of [[rig.cameras]]; end other programs that use it"
+            yield fault(
+                f"settings of {name}", found=each.problem, wanted="can be set as configured", remedy=remedy
+            )
+        elif each.remarks:
+            yield Finding(
+                subject=f"settings of {name}",
+                verdict=HostVerdict.GOOD,
+                found=f"{each.model}: {'; '.join(each.remarks)}",
+                wanted="",
+            )
+
+
+def _opened(camera: Camera) -> CameraVitals | DeviceError:
+    try:
+        camera.open()
+        return camera.examine()
+    except DeviceError as err:
+        return err
+    finally:
+        camera.close()
 
 
 def check_gate(rig: LiveRigSettings) -> Finding:

@@ -13,6 +13,8 @@ from support.live_rig import eventually, live_rig, live_section, simulated_rig
 from support.small_recording import write_small_recording
 from support.warm_stonefall import run_stonefall
 
+from drivers.gige_simulator.personalities import PERSONALITIES
+
 LINE2 = 1
 """Bank of Line2 among the registers of the lines."""
 
@@ -59,6 +61,49 @@ def test_a_whole_rig_exposes_at_the_test_pulse(tmp_path: Path) -> None:
         assert code == 1
         assert "it answers at 127." in found["camera c01"]["found"]
         assert found["port of 198.51.100.9"]["remedy"]
+
+
+def test_cameras_of_seven_vendors_are_set_alike_and_what_was_left_on_is_told(tmp_path: Path) -> None:
+    write_small_recording(tmp_path / "source", n_stones=1)
+    config = tmp_path / "stonefall.toml"
+    vendors = tuple(PERSONALITIES)
+    delayed = {"vendors": vendors, "gate_delay_ms": 247.2}
+    with simulated_rig(tmp_path, tmp_path / "source", number=6, **delayed) as rig:
+        rest = '[spool]\ndir = "/run/stonefall"\n[store]\ndir = "state"\nretention.min_free_gb = 0.0\n[api]\nport = 1\n'
+        config.write_text(
+            live_section(rig, tmp_path, tmp_path / "source", more="packet_size_bytes = 1500") + rest
+        )
+        tree = Tree(tmp_path / "host", port="lo", gate=str(tmp_path / "gate"))
+        code, found = doctor(config, "--root", tree.root)
+        assert code == 1
+        fault = found["settings of c02"]  # whose delay is too short for the fall
+        assert "cannot set TriggerDelay to 24735" in fault["found"]
+        assert "let gate or timer make the delay, and set delay_outside_ms" in fault["found"]
+        assert found["settings of cameras"]["found"] == "13 of 16 are set as configured"  # three are FLIR's
+        put_back = {
+            camera.design.ways.resembles: found[f"settings of {name}"]["found"]
+            for name, camera in rig.cameras.items()
+        }
+        assert (
+            "acA1300-60gm: ChunkModeActive was True: put back to False; ReverseX was True"
+            in put_back["Basler"]
+        )
+        assert "GevHeartbeatTimeout was 300000: put back to 3000" in put_back["Basler"]
+        assert "has no FrameStart in TriggerSelector: FrameBurstStart is used" in put_back["Hikrobot"]
+        assert "LUTEnable was True: put back to False" in put_back["Daheng"]
+        assert "ExposureMode was TriggerWidth: put back to Timed" in put_back["JAI"]
+        assert "has no Mono8 in PixelFormat: Mono12p is used" in put_back["The Imaging Source"]
+        assert "GammaEnable was True: put back to False" in put_back["Lucid"]
+
+        more = "packet_size_bytes = 1500\ndelay_outside_ms = 247.2"
+        config.write_text(live_section(rig, tmp_path, tmp_path / "source", more=more) + rest)
+        for _ in range(3):  # as above
+            code, found = doctor(config, "--pulse", "--root", tree.root)
+            if code == 0:
+                break
+        assert [finding for finding in found.values() if finding["verdict"] == "fault"] == []
+        assert found["test pulse"]["found"] == "16 of 16 cameras exposed"
+        assert not any("put back" in finding["found"] for finding in found.values())  # told once
 
 
 @pytest.mark.full

@@ -38,6 +38,7 @@ def live_section(
     cameras = "\n".join(
         f'[[rig.cameras]]\nid = "{camera.design.id}"\nserial = "{camera.design.serial}"'
         + (f'\naddress = "{camera.design.address}"' if by_address else "")
+        + (f'\ntrigger = "{next(iter(camera.design.ways.sources))}"' if camera.design.personality else "")
         for camera in rig.cameras.values()
     )
     return f"""[rig]
@@ -66,6 +67,8 @@ def simulated_rig(
     number: int = 0,
     only_stones: bool = False,
     strobe_line: str | None = None,
+    vendors: tuple[str, ...] = (),
+    gate_delay_ms: float = 0.0,
 ) -> Iterator[SimulatedRig]:
     """The belt stands until it is started."""
     design = RigDesign(
@@ -76,6 +79,8 @@ def simulated_rig(
         only_stones=only_stones,
         sight_ms=sight_ms,
         strobe_line=strobe_line,
+        vendors=vendors,
+        gate_delay_ms=gate_delay_ms,
     )
     with SimulatedRig(design, open_recording(recording)) as rig:
         yield rig
