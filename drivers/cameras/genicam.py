@@ -81,6 +81,11 @@ NEUTRAL: tuple[Feature, ...] = (
 """What opening puts back where the camera has the feature and the configuration does not set it: values under which the
 image is the sensor's, from its corner, at each trigger."""
 
+GEOMETRY = frozenset(
+    name for name, _ in NEUTRAL if name.startswith(("Reverse", "Binning", "Decimation", "Offset", "Test"))
+)
+"""Neutral features that decide which point of the rig a pixel shows: without them no camera is used."""
+
 SELECTORS: dict[str, str] = {
     "BinningHorizontal": "BinningSelector",
     "BinningVertical": "BinningSelector",

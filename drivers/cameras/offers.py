@@ -3,7 +3,16 @@
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
 from drivers.cameras.feature_access import AppliedFeature, FeatureAccess
-from drivers.cameras.genicam import INPUTS, NEUTRAL, OTHER_NAMES, SELECTORS, SWITCHES, Feature, Value
+from drivers.cameras.genicam import (
+    GEOMETRY,
+    INPUTS,
+    NEUTRAL,
+    OTHER_NAMES,
+    SELECTORS,
+    SWITCHES,
+    Feature,
+    Value,
+)
 from drivers.cameras.pixel_formats import CONVERTED
 from drivers.errors import CameraUnavailableError, DeviceFault, LossCause, Told, told
 
@@ -22,7 +31,7 @@ def put_back(
     """Set everything neutral that is not configured; return what holds now, and a remark for each change.
 
     A configuration that loads a user set of the camera has all of its features configured. What cannot be written
-    stays as it is, and is a remark too.
+    stays as it is, and is a remark too; what decides where the pixels look is an error then.
     """
     held: list[AppliedFeature] = []
     remarks: list[Told] = []
@@ -34,6 +43,9 @@ def put_back(
         except CameraUnavailableError as err:
             if err.cause not in (LossCause.WRONG_SETTINGS, LossCause.OTHER):
                 raise
+            if name in GEOMETRY:
+                problem = f"{err.problem}; if {own} shall stay {before}, set it so in features"
+                raise CameraUnavailableError(err.device, problem, err.cause) from err
             remarks.append(told(DeviceFault.FEATURE_STAYS, feature=own, value=str(before)))
             continue
         if (after := features.read(own)) != before:

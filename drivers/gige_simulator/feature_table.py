@@ -38,7 +38,11 @@ def feature_table(
         table = tuple(_as_legacy(feature) for feature in table if feature.key not in _LEGACY_LACKS)
     lacks = ways.lacks if ways.has_extended_ids else {*ways.lacks, "GevGVSPExtendedIDMode"}
     return tuple(
-        replace(feature, name=ways.names.get(feature.key, feature.name))
+        replace(
+            feature,
+            name=ways.names.get(feature.key, feature.name),
+            access="RO" if feature.key in ways.fixed else feature.access,
+        )
         for feature in table
         if feature.key not in lacks
     )

@@ -27,6 +27,7 @@ class Personality:
     other_sources: tuple[str, ...] = ()  # entries that nothing here drives
     pixel_formats: tuple[str, ...] = ("Mono8",)
     lacks: frozenset[str] = frozenset()
+    fixed: frozenset[str] = frozenset()  # features that cannot be written
     names: Mapping[str, str] = field(default_factory=dict)  # the vendor's own name of a feature
     binning_engines: tuple[str, ...] = ()  # entries of BinningSelector, each with a binning of its own
     exposure_modes_us: Mapping[str, tuple[float, float]] = field(

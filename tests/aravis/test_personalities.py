@@ -126,6 +126,25 @@ def test_a_user_set_that_the_configuration_loads_is_the_configuration(opened: Ca
     assert simulated.feature("Gamma") == 1.0  # as the set has it
 
 
+def test_what_cannot_be_put_back_is_told(
+    opened: Callable[..., Opened],
+) -> None:
+    dark = replace(PLAIN, left_on={"BlackLevel": 3.0}, fixed=frozenset({"BlackLevel"}))
+    assert opened(dark)[1].examine().remarks == ("BlackLevel is 3.0, and cannot be put back",)
+
+
+def test_a_mirrored_camera_is_used_only_if_the_configuration_says_so() -> None:
+    mirrored = replace(PLAIN, left_on={"ReverseX": 1}, fixed=frozenset({"ReverseX"}))
+    assert "if ReverseX shall stay True, set it so in features" in refused(mirrored)
+    made = design(personality=mirrored)
+    settings = settings_for(made)
+    with powered(made):
+        camera = AravisCamera(replace(settings, features=(*settings.features, ("ReverseX", True))))
+        camera.open()
+        assert camera.examine().remarks == ()
+        camera.close()
+
+
 def test_each_engine_of_a_camera_that_bins_is_put_back() -> None:
     made = design(personality=replace(FLIR, left_on={}))
     with powered(made) as simulated:
