@@ -20,8 +20,8 @@ def answering_whole_addresses(app: ASGIApp) -> ASGIApp:
     async def answer(scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http" and (target := ABSOLUTE.fullmatch(scope["raw_path"])):
             others = [(name, value) for name, value in scope["headers"] if name != b"host"]
-            headers = [(b"host", target["netloc"]), *others]
-            scope = {**_with_path(scope, target["path"] or b"/"), "headers": headers}
+            _ask_for(scope, target["path"] or b"/")
+            scope["headers"] = [(b"host", target["netloc"]), *others]
         await app(scope, receive, send)
 
     return answer
@@ -35,14 +35,15 @@ def answering_joined(app: ASGIApp) -> ASGIApp:
 
     async def answer(scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http" and (target := JOINED.fullmatch(scope["raw_path"])):
-            scope = _with_path(scope, b"/%b/%b" % target.groups())
+            _ask_for(scope, b"/%b/%b" % target.groups())
         await app(scope, receive, send)
 
     return answer
 
 
-def _with_path(scope: Scope, raw_path: bytes) -> Scope:
-    return {**scope, "raw_path": raw_path, "path": unquote(raw_path.decode("ascii"))}
+def _ask_for(scope: Scope, raw_path: bytes) -> None:
+    """Change the path in the request itself: what answers a failure outside has the same."""
+    scope.update(raw_path=raw_path, path=unquote(raw_path.decode("ascii")))
 
 
 def answering_below(app: ASGIApp, prefix: str) -> ASGIApp:
@@ -55,7 +56,7 @@ def answering_below(app: ASGIApp, prefix: str) -> ASGIApp:
             return
         if path.startswith(f"{prefix}/"):
             raw_path = scope["raw_path"].removeprefix(prefix.encode())
-            scope = {**scope, "path": path.removeprefix(prefix), "raw_path": raw_path}
+            scope.update(path=path.removeprefix(prefix), raw_path=raw_path)
 
         async def send_with_prefix(message: Message) -> None:
             if message["type"] == "http.response.start":

@@ -91,6 +91,15 @@ async def test_a_bug_is_a_500_without_a_trace(store: Store, caplog: pytest.LogCa
     assert "ZeroDivisionError: the secret of the house" in caplog.text
 
 
+@pytest.mark.parametrize("path", ["/api/v1//health", "/stonefall/api/v1/health"])
+async def test_a_bug_is_a_500_however_its_address_is_written(store: Store, path: str) -> None:
+    """The answer to a failure is made outside of what reads the address."""
+    async with client_of(app_of(store, FaultyControl(), ApiSettings(path_prefix="/stonefall"))) as client:
+        answer = await client.get(client.base_url.copy_with(path=path))
+    assert answer.json()["type"] == "urn:stonefall:problem:internal-error"
+    assert answer.json()["instance"] == "/api/v1/health"
+
+
 async def test_a_broken_store_is_a_503(
     client: httpx.AsyncClient, state_dir: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
