@@ -130,7 +130,7 @@ def checked_key(request: Request, context: ApiContext, token: str, *, counts_gue
     raise Problem(401, "unauthorized", "there is no such key", headers=INVALID_TOKEN)
 
 
-def who(request: Request) -> str:
+async def who(request: Request) -> str:
     """Return the name of the requester, for the audit; on a route that requires a scope."""
     return str(request.state.who)
 

@@ -82,7 +82,7 @@ class ApiContext:
         return self.control.part(kind)
 
 
-def context_of(request: Request) -> ApiContext:
+async def context_of(request: Request) -> ApiContext:
     context: ApiContext = request.app.state.context
     return context
 

@@ -345,7 +345,7 @@ async def post_withdrawn_correlation(
     return await context.write(withdraw_study, product, version, wanted.reason, asking)
 
 
-def runs_of(
+async def runs_of(
     sample_id: Annotated[
         str | None, Query(min_length=1, max_length=200, description="Of the lots to compare")
     ] = None,

@@ -74,7 +74,7 @@ async def request_of(
     )
 
 
-def choice_of(
+async def choice_of(
     without: Annotated[
         list[Annotated[str, Field(max_length=100)]] | None,
         Query(
@@ -97,7 +97,7 @@ def choice_of(
 Measuring = Annotated[Request, Depends(request_of)]
 
 
-def figures_request_of(
+async def figures_request_of(
     measuring: Measuring,
     quantiles: Annotated[
         str | None,

@@ -46,7 +46,7 @@ KEEP_S = 2.0
 """How long a drawing is kept for others who ask for it."""
 
 
-def look_of(
+async def look_of(
     language: Annotated[Language, Query(description="Language of the drawing")] = Language.ENGLISH,
     width_px: Annotated[
         int, Query(ge=240, le=2400, description="Width of the drawing, whose letters are 11 px high")

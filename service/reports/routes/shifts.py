@@ -36,7 +36,7 @@ class Shifts:
     """Newest first; the first one goes on."""
 
 
-def shift_of(
+async def shift_of(
     context: Context,
     shift: Annotated[
         str,

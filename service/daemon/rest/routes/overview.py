@@ -14,7 +14,7 @@ from service.web.streams import EventStream, OpenStream, may_read
 router = APIRouter(prefix="/overview", tags=["overview"], dependencies=READABLE)
 
 
-def _overviews(request: Request) -> Overviews:
+async def _overviews(request: Request) -> Overviews:
     made: Overviews = request.app.state.overviews
     return made
 
