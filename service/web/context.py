@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from sqlite3 import Connection
 from typing import Annotated, Concatenate, ParamSpec, TypeVar
 
@@ -15,7 +16,7 @@ from service.web.clients import Attempts, Keyless
 from service.web.connections import OpenStreams
 from service.web.control import Control
 from service.web.key_ring import KeyRing
-from service.web.pace import Pace
+from service.web.pace import WOKEN, Pace
 from service.web.pairings import Pairings
 from service.web.reader_process import Reading
 from service.web.sessions import Sessions
@@ -55,7 +56,7 @@ class ApiContext:
     site: Callable[[], str] = str
     """Returns the name of plant and instrument, which pages have in their heads; empty without one."""
     shared: SharedAnswers = field(default_factory=SharedAnswers)
-    waking: Pace = field(default_factory=Pace)
+    waking: Pace = field(default_factory=partial(Pace, WOKEN))
     """Long polls are answered one after the other, although a result wakes all of them at once."""
     streams: OpenStreams = field(default_factory=OpenStreams)
     counted: CountedOutcomes = field(default_factory=CountedOutcomes)

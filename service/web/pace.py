@@ -21,6 +21,8 @@ RATE_HZ = 100.0
 """Turns a second; a request takes about 2 ms of the loop."""
 BURST = 40
 """Turns that are given at once after a quiet time: a page with all its pictures does not wait."""
+WOKEN = 5
+"""Clients that a result wakes at once: what the loop does for these, the next stone's images wait for."""
 MAX_WAITING = 256
 """Longest queue; beyond it the newest request of the client with most of them is refused."""
 TURN = "turn"
@@ -41,15 +43,16 @@ Queues = OrderedDict[str, dict[Waiting, None]]
 
 
 class Pace:
-    """Gives at most `RATE_HZ` turns a second, after a quiet time `BURST` at once, in the order of asking."""
+    """Gives at most `RATE_HZ` turns a second, after a quiet time `burst` at once, in the order of asking."""
 
-    def __init__(self) -> None:
+    def __init__(self, burst: int) -> None:
+        self._burst = burst
         self._last_s = float("-inf")  # when the turn given last is due
 
     def take(self) -> float:
         """Take the next turn, and return the seconds until it is due; negative: at once."""
         now_s = asyncio.get_running_loop().time()
-        self._last_s = max(self._last_s, now_s - BURST / RATE_HZ) + 1 / RATE_HZ
+        self._last_s = max(self._last_s, now_s - self._burst / RATE_HZ) + 1 / RATE_HZ
         return self._last_s - now_s
 
     async def turn(self) -> None:
@@ -64,7 +67,7 @@ class Turns:
     """
 
     def __init__(self) -> None:
-        self._pace = Pace()
+        self._pace = Pace(BURST)
         self._known: Queues = OrderedDict()
         self._strangers: Queues = OrderedDict()
         self._order = [self._known, self._strangers]

@@ -248,7 +248,7 @@ async def test_requests_take_turns(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = 100.0
     monkeypatch.setattr(asyncio.get_running_loop(), "time", lambda: now_s)
     monkeypatch.setattr(pace.asyncio, "sleep", note)
-    turns = Pace()
+    turns = Pace(BURST)
     for _ in range(BURST + 3):
         await turns.turn()
     assert max(waits_s[:BURST]) < 1e-6
