@@ -16,6 +16,7 @@ import numpy as np
 
 from pipeline.arrays import FloatImage, Singles
 from pipeline.errors import ModelError
+from pipeline.formats import unread_format
 from pipeline.segmentation.onnx_runtime import onnxruntime, runtime_errors
 from pipeline.segmentation.u2net import PUBLISHED_SIZE_PX, saliency, u2net_input
 
@@ -165,7 +166,7 @@ def load_network(
     kind = NetworkKind.OURS if "format" in metadata else NetworkKind.U2NET
     if kind is NetworkKind.OURS and metadata["format"] != FORMAT:
         raise ModelError(
-            f'model {sha256[:8]}: its metadata says format = "{metadata["format"]}", expected "{FORMAT}";'
+            f"model {sha256[:8]}: the format in its metadata {unread_format(metadata['format'], FORMAT)};"
             " use a model trained for this version"
         )
     size_px, step_px = _sizes_px(session, kind, metadata, sha256)
