@@ -1,12 +1,11 @@
 """The effects and live values of the registers of a simulated camera."""
 
 import math
-import struct
 import time
-import zlib
 from collections.abc import Callable, Mapping
 from ipaddress import IPv4Address
 
+from drivers.gige_simulator.bootstrap import VENDOR, put_bootstrap
 from drivers.gige_simulator.clock import CameraClock
 from drivers.gige_simulator.design import CameraDesign
 from drivers.gige_simulator.faults import Faults
@@ -14,12 +13,11 @@ from drivers.gige_simulator.feature_table import EXPOSURE_LIMITS, USER_OUTPUTS, 
 from drivers.gige_simulator.features import PIXEL_FORMATS, PTP_STATES
 from drivers.gige_simulator.genicam_xml import genicam_xml, zipped
 from drivers.gige_simulator.gvsp import IP_UDP_BYTES, chunk_bytes
+from drivers.gige_simulator.imaging import reduction
 from drivers.gige_simulator.registers import (
     STREAM_ADDRESS,
     STREAM_PORT,
-    STREAM_SOURCE_PORT,
     TIMESTAMP_CONTROL,
-    XML_ADDRESS,
     AckStatus,
     Key,
     RefusedError,
@@ -28,13 +26,6 @@ from drivers.gige_simulator.registers import (
 )
 from drivers.gige_simulator.sensor import Sensor
 from drivers.gige_simulator.stream import StreamChannel
-
-VENDOR = "Stonefall"
-VERSION = "simulated 1"
-
-_RESEND = 1 << 2
-_CAPABILITIES = 1 << 31 | 1 << 30 | 1 << 28 | 1 << 19 | 1 << 17 | 1 << 6 | 1 << 5 | 1 << 1 | 1
-"""User name, serial, link speed, PTP, scheduled action, action, pending ack, write memory, concatenation."""
 
 _USER_SETS = ("Default", "UserSet1")
 _REDUCTIONS = ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical")
@@ -123,28 +114,11 @@ class CameraDevice:
             self._user_sets.clear()
         self._design = design
         registers.reset()
-        for address, word in _bootstrap(design, stream_port, len(registers.xml)).items():
-            registers.put_word(address, word)
-        ways = design.ways
-        suffix = "zip" if design.is_xml_zipped else "xml"
-        registers.put_text(
-            0x200, f"Local:{ways.model.replace(' ', '_')}.{suffix};{XML_ADDRESS:x};{len(registers.xml):x}"
-        )
-        for key, text in (
-            ("DeviceVendorName", VENDOR),
-            ("DeviceModelName", ways.model),
-            ("DeviceVersion", VERSION),
-            (
-                "DeviceManufacturerInfo",
-                f"as of {ways.resembles}" if ways.resembles else f"{ways.dialect} dialect",
-            ),
-            ("DeviceSerialNumber", design.serial),
-            ("DeviceUserID", self._user_name or design.user_name),
-        ):
-            registers.put(key, text)
+        put_bootstrap(registers, design, stream_port)
+        registers.put("DeviceUserID", self._user_name or design.user_name)
         registers.put("UserSetDefault", _USER_SETS.index(self._startup_set))
         registers.restore(self._user_sets.get(self._startup_set, {}))
-        for key, setting in ways.left_on.items():
+        for key, setting in design.ways.left_on.items():
             if isinstance(setting, str):
                 setting = registers.features[key].entries[setting]
             registers.put(key, setting)
@@ -208,8 +182,7 @@ class CameraDevice:
             ("Width", "OffsetX", "Horizontal"),
             ("Height", "OffsetY", "Vertical"),
         ):
-            reduced = registers.product(f"Binning{direction}") * registers.number(f"Decimation{direction}")
-            most = registers.number(f"Sensor{extent}") // reduced
+            most = registers.number(f"Sensor{extent}") // reduction(registers, direction)
             registers.put(f"{extent}Max", most)
             registers.put(extent, min(registers.number(extent), most - registers.number(offset)))
         if modes_us := self._design.ways.exposure_modes_us:
@@ -312,30 +285,3 @@ class CameraDevice:
             return n_image
         n_banks = registers.n_banks(registers.features["ChunkEnable"])
         return chunk_bytes(n_image, sum(registers.number("ChunkEnable", bank) for bank in range(n_banks)))
-
-
-def mac_address(serial: str) -> bytes:
-    """Return the MAC address of a device, locally administered, derived from its serial number."""
-    return b"\x02\x5f" + struct.pack(">I", zlib.crc32(serial.encode()))
-
-
-def _bootstrap(design: CameraDesign, stream_port: int, xml_bytes: int) -> Mapping[int, int]:
-    """Return the words of the bootstrap registers after power-on, by address."""
-    mac = mac_address(design.serial)
-    return {
-        0x000: 0x00020000,  # the standard's version
-        0x004: 0x80000001 if design.ways.encoding == "utf-8" else 0x80000000,  # big endian, UTF-8
-        0x008: int.from_bytes(mac[:2], "big"),
-        0x00C: int.from_bytes(mac[2:], "big"),
-        0x010: 0x7,  # link-local, DHCP, persistent
-        0x014: 0x6,
-        0x024: int(IPv4Address(design.address)),
-        0x034: 0xFF000000,
-        0x600: 1,  # network interfaces
-        0x670: 1000,  # link speed in Mbit/s
-        0x904: 1,  # stream channels
-        0x908: 1,  # action signals
-        0x934: _CAPABILITIES | (_RESEND if design.can_resend else 0),
-        0x940: 1_000_000_000,  # ticks a second
-        STREAM_SOURCE_PORT: stream_port,
-    }

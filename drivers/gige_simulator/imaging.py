@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 
@@ -31,6 +32,13 @@ class Exposure:
 
 ImageSource = Callable[[Exposure], "GreyImage | None"]
 """Returns the image (H, W) of the whole sensor, which must not be changed afterwards; None: nothing is sent."""
+
+
+def reduction(registers: Registers, direction: str) -> int:
+    """Return the pixels of the sensor per pixel of its image, by binning and decimation, `Horizontal` or `Vertical`."""
+    binning = registers.features[f"Binning{direction}"]
+    factors = (registers.number(binning.key, bank) for bank in range(registers.n_banks(binning)))
+    return prod(factors) * registers.number(f"Decimation{direction}")
 
 
 class Imaging:
@@ -66,14 +74,11 @@ class Imaging:
         registers = self._registers
         if registers.choice("TestPattern") != "Off":
             image = np.broadcast_to(np.arange(image.shape[1], dtype=np.uint8), image.shape)
-        across, down = (
-            registers.product(f"Binning{direction}") * registers.number(f"Decimation{direction}")
-            for direction in ("Horizontal", "Vertical")
-        )
-        image = image[::down, ::across]
-        image = image[
-            :: -1 if registers.number("ReverseY") else 1, :: -1 if registers.number("ReverseX") else 1
-        ]
+        image = image[:: reduction(registers, "Vertical"), :: reduction(registers, "Horizontal")]
+        if registers.number("ReverseX"):
+            image = image[:, ::-1]
+        if registers.number("ReverseY"):
+            image = image[::-1]
         levels = np.arange(256.0)
         if registers.number_or("GammaEnable", 0) or registers.choice_or("LUTMode", "Off") == "Gamma":
             levels = 255 * (levels / 255) ** registers.quantity("Gamma")

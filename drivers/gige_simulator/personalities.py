@@ -13,16 +13,15 @@ Setting = int | float | str
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Personality:
-    """What differs from one vendor's cameras to another's; features by their SFNC names."""
+    """Differences of a vendor's cameras from those of others; features by their SFNC names."""
 
     resembles: str  # whose cameras; they say so themselves, but as vendor they name this simulator
     model: str = "SF-1280"
     dialect: Dialect = "sfnc"
     selectors: tuple[str, ...] = ("FrameStart", "FrameBurstStart")  # entries of TriggerSelector
     lines: tuple[str, ...] = ("Line1", "Line2", "Line3")  # entries of LineSelector, the trigger's first
-    inputs: Mapping[str, str] = field(
-        default_factory=dict
-    )  # entries of TriggerSource: the line; empty: the lines
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    """Line of each wired entry of TriggerSource; empty: all lines, under their own names."""
     action: str = "Action1"  # entry of TriggerSource
     other_sources: tuple[str, ...] = ()  # entries that nothing here drives
     pixel_formats: tuple[str, ...] = ("Mono8",)
@@ -30,13 +29,12 @@ class Personality:
     fixed: frozenset[str] = frozenset()  # features that cannot be written
     names: Mapping[str, str] = field(default_factory=dict)  # the vendor's own name of a feature
     binning_engines: tuple[str, ...] = ()  # entries of BinningSelector, each with a binning of its own
-    exposure_modes_us: Mapping[str, tuple[float, float]] = field(
-        default_factory=dict
-    )  # range of each, if several
+    exposure_modes_us: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Range of the exposure time in each mode, if there are several."""
     max_delay_us: float = 1_000_000.0
     max_packet_bytes: int = 9000
     chunk_payload: int = 0x4001  # payload type in chunk mode
-    has_extended_ids: bool = True  # whether 64-bit block ids can be switched on
+    has_extended_ids: bool = True  # block ids of 64 bits can be switched on
     has_zipped_xml: bool = False
     encoding: str = "utf-8"  # of its texts
     left_on: Mapping[str, Setting] = field(default_factory=dict)  # by the program that had it before

@@ -8,7 +8,6 @@ import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from math import prod
 
 from drivers.gige_simulator.features import Feature
 
@@ -141,10 +140,6 @@ class Registers:
         """Return the name of the chosen entry of an enumeration."""
         value = self.number(key, bank)
         return next(name for name, number in self.features[key].entries.items() if number == value)
-
-    def product(self, key: str) -> int:
-        """Return the product of the values of an integer in all banks."""
-        return prod(self.number(key, bank) for bank in range(self.n_banks(self.features[key])))
 
     def number_or(self, key: str, default: int, bank: int = 0) -> int:
         """Return the value of an integer, boolean or enumeration; the default in a camera without it."""

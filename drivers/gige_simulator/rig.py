@@ -181,6 +181,7 @@ def _camera_designs(design: RigDesign, recording: Recording) -> Iterator[CameraD
     """Yield the design of each camera, with a clock of its own, some with the older dialect."""
     first = ipaddress.IPv4Address(design.first_address)
     known = {camera.id: camera.serial for camera in recording.rig.cameras} if recording.rig else {}
+    vendors = [PERSONALITIES[vendor] for vendor in design.vendors]
     for index, camera in enumerate(recording.camera_ids[: design.n_cameras]):
         dice = random.Random(f"{design.seed}/{camera}")  # noqa: S311 - nothing secret
         yield CameraDesign(
@@ -188,9 +189,7 @@ def _camera_designs(design: RigDesign, recording: Recording) -> Iterator[CameraD
             address=str(first + index),
             serial=known.get(camera) or f"SIM{index + 1:04d}",
             user_name=camera,
-            personality=PERSONALITIES[design.vendors[index % len(design.vendors)]]
-            if design.vendors
-            else None,
+            personality=vendors[index % len(vendors)] if vendors else None,
             dialect="legacy" if design.legacy_every and (index + 1) % design.legacy_every == 0 else "sfnc",
             image_size_px=recording.image_size_px,
             clock_offset_ns=dice.randrange(MAX_CLOCK_OFFSET_NS),

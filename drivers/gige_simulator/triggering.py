@@ -11,8 +11,8 @@ from drivers.gige_simulator.registers import Registers
 LINE_TIME_NS = 8_000
 """Time to read out one line of the sensor: 8.2 ms for 1024 lines."""
 
-_FRAME_TRIGGERS = frozenset({"FrameStart"})
-_BURST_TRIGGERS = frozenset({"FrameBurstStart", "AcquisitionStart"})
+_FRAME_TRIGGER = "FrameStart"
+_BURST_TRIGGERS = ("FrameBurstStart", "AcquisitionStart")
 _ACTIVATIONS = {True: "RisingEdge", False: "FallingEdge"}
 
 
@@ -35,9 +35,7 @@ class _Settings:
     version: int
     on: frozenset[int]  # banks of triggers that are on
     frame: int | None  # bank of the trigger of single frames, if there is one
-    are_bursts: (
-        bool  # whether all triggers that are on start frames or bursts; others are waited for without end
-    )
+    starts_only: bool  # all triggers that are on start frames or bursts; others are waited for without end
     sources: tuple[str, ...]
     activations: tuple[str, ...]
     delays_ns: tuple[int, ...]
@@ -102,15 +100,13 @@ class TriggerInput:
     def accept(self, banks: list[int], at_ns: int) -> Plan | None:
         """Return the exposure that these triggers cause at `at_ns`; None when the camera is not ready for one."""
         settings = self._current()
-        is_frame = settings.frame in settings.on
-        if is_frame and len(settings.on) > 1 and not self._is_burst_started:
+        if settings.frame in settings.on and len(settings.on) > 1 and not self._is_burst_started:
             return None
-        if not (settings.are_bursts and settings.is_timed):
+        if not (settings.starts_only and settings.is_timed):
             return None
         if self._last_trigger_ns is not None and at_ns - self._last_trigger_ns < settings.period_ns:
             return None
-        bank = settings.frame if settings.frame in banks else banks[0]
-        assert bank is not None  # noqa: S101 - it is among the banks
+        bank = next((bank for bank in banks if bank == settings.frame), banks[0])
         plan = self.plan(at_ns, at_ns + settings.delays_ns[bank])
         if plan is not None:
             self._is_burst_started = False
@@ -144,8 +140,8 @@ def _read(registers: Registers) -> _Settings:
     return _Settings(
         version=registers.version,
         on=on,
-        frame=next((bank for bank in banks if selectors[bank] in _FRAME_TRIGGERS), None),
-        are_bursts=all(selectors[bank] in _FRAME_TRIGGERS | _BURST_TRIGGERS for bank in on),
+        frame=next((bank for bank in banks if selectors[bank] == _FRAME_TRIGGER), None),
+        starts_only=all(selectors[bank] in (_FRAME_TRIGGER, *_BURST_TRIGGERS) for bank in on),
         sources=tuple(registers.choice("TriggerSource", bank) for bank in banks),
         activations=tuple(registers.choice_or("TriggerActivation", "RisingEdge", bank) for bank in banks),
         delays_ns=tuple(round(registers.quantity_or("TriggerDelay", 0.0, bank) * 1000) for bank in banks),
