@@ -6,17 +6,18 @@ whether it is there; calls that may block all the same hold this camera's lock a
 
 import math
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
 from typing import Any
 
 from drivers import gvcp
 from drivers.cameras.aravis_library import aravis_errors, cleared_tracebacks, load_aravis
+from drivers.cameras.bootstrap import BootstrapRegisters
 from drivers.cameras.feature_access import AppliedFeature, FeatureAccess
 from drivers.cameras.finding import find_camera
 from drivers.cameras.frame_reader import Allocate, FrameReader, Memory, allocate, new_buffer
-from drivers.cameras.genicam import Feature, GigeCameraSettings, all_features
+from drivers.cameras.genicam import GigeCameraSettings, all_features
 from drivers.cameras.lamp import Lamp, give_strobe_back, strobe_off
 from drivers.cameras.offers import as_offered, put_back
 from drivers.cameras.pixel_formats import CONVERTED, PixelFormat
@@ -31,17 +32,8 @@ PROBE_S = 0.25
 FULL_LINK_MBIT_S = 1000
 FRAME_RETENTION_US = 250_000
 """A frame is given up after so long without a packet; Aravis' default of 0.1 s is too short on a busy machine."""
-HEARTBEAT_MS = 3000
-"""How long a camera waits for a sign of life, as after power-on. Debuggers set minutes, for which it then waits for a
-dead process; with less than Aravis' interval of a second it is lost all the time."""
 POLLED_FEATURES = ("DeviceTemperature", "PtpEnable", "PtpDataSetLatch", "PtpStatus", "PtpOffsetFromMaster")
 """Features that `examine` reports where the camera has them."""
-
-_LINK_SPEED, _HEARTBEAT_MS, _STREAM_PORT = 0x670, 0x938, 0xD00
-"""Bootstrap registers of every camera: link speed in Mbit/s; heartbeat timeout in ms; the stream's port on the host, 0
-without a stream."""
-_CONTROL = 0x2
-"""Value of the control privilege: its owner may write, others may read."""
 
 
 class AravisCamera:
@@ -134,7 +126,8 @@ class AravisCamera:
             problem = f"another camera, serial {seen.serial}, has the address {device.address}"
             raise CameraUnavailableError(self.id, problem, LossCause.WRONG_CAMERA)
         with self._control, cleared_tracebacks(), aravis_errors(self.id, "be examined"):
-            self._require_control()
+            is_lost = self._control_lost.is_set()
+            self._registers().require_control(self._stream.get_port(), is_known_lost=is_lost)
             self._features().verify(self._applied)
             return self._vitals(device)
 
@@ -204,14 +197,7 @@ class AravisCamera:
         self._control_lost_signal = self._camera.get_device().connect(
             "control-lost", lambda *_: control_lost.set()
         )
-        if not self._camera.get_device().is_controller():
-            heartbeat_s = self._register(_HEARTBEAT_MS) / 1e3
-            raise CameraUnavailableError(
-                self.id,
-                f"is in use by another application at {address}; if it was a predecessor of this one, "
-                f"killed, its heartbeat ends within {heartbeat_s:g} s",
-                LossCause.IN_USE,
-            )
+        self._registers().require_controller(address)
 
     def _configure(self) -> None:
         """Stop the camera, which may have been left running, then write all settings and read them back."""
@@ -229,7 +215,7 @@ class AravisCamera:
         wanted = [*all_features(settings), *packets]
         configured = strobe_off(features, wanted) if settings.is_strobe_off else wanted
         held, remarks = put_back(features, configured)
-        remarks += self._put_heartbeat_back(configured)
+        remarks += self._registers().put_heartbeat_back(configured)
         self._applied = [*held, *features.apply(as_offered(features, configured, remarks))]
         features.verify(self._applied)  # a later setting may have changed an earlier one
         self._remarks = tuple(remarks)
@@ -238,17 +224,6 @@ class AravisCamera:
         for name in POLLED_FEATURES:
             if own := features.own_name(name):
                 self._polled[name] = own
-
-    def _put_heartbeat_back(self, configured: Sequence[Feature]) -> list[Told]:
-        """Set the heartbeat timeout by its register, which every camera has under this address; return the remark."""
-        names = {"GevHeartbeatTimeout", "DeviceLinkHeartbeatTimeout"}
-        before_ms = self._register(_HEARTBEAT_MS)
-        if before_ms == HEARTBEAT_MS or names & {name for name, _ in configured}:
-            return []
-        with aravis_errors(self.id, "set its heartbeat timeout"):
-            self._camera.get_device().write_register(_HEARTBEAT_MS, HEARTBEAT_MS)
-        name, after = "GevHeartbeatTimeout", str(self._register(_HEARTBEAT_MS))
-        return [told(DeviceFault.FEATURE_PUT_BACK, feature=name, before=str(before_ms), after=after)]
 
     def _prepare_stream(self, address: str) -> None:
         settings, aravis = self._settings, load_aravis(self.id)
@@ -307,28 +282,10 @@ class AravisCamera:
                 wanted_bytes=wanted,
             )
         with suppress(CameraUnavailableError):  # cameras from before GigE Vision 1.1 do not say
-            if 0 < (mbit_s := self._register(_LINK_SPEED)) < FULL_LINK_MBIT_S:
+            if 0 < (mbit_s := self._registers().link_mbit_s()) < FULL_LINK_MBIT_S:
                 yield told(DeviceFault.LINK_SLOW, link_mbit_s=mbit_s)
 
     # --- watching ---
-
-    def _require_control(self) -> None:
-        """Raise `CameraUnavailableError` if the camera was restarted, or another application controls it."""
-        is_known = not self._control_lost.is_set() and self._register(gvcp.CONTROL_PRIVILEGE) != 0
-        if not is_known or self._register(_STREAM_PORT) & 0xFFFF != self._stream.get_port():
-            raise CameraUnavailableError(
-                self.id,
-                "control was lost: the camera was restarted, or its heartbeat ended",
-                LossCause.CONTROL_LOST,
-            )
-        try:
-            with aravis_errors(self.id, "keep it"):  # only the application in control may write this register
-                self._camera.get_device().write_register(gvcp.CONTROL_PRIVILEGE, _CONTROL)
-        except CameraUnavailableError as err:
-            if err.cause is LossCause.SILENT:
-                raise
-            problem = f"control was lost: {err.problem}"
-            raise CameraUnavailableError(self.id, problem, LossCause.CONTROL_LOST) from err
 
     def _vitals(self, device: gvcp.DiscoveredCamera) -> CameraVitals:
         polled, warnings, ptp_status, ptp_offset_ns = self._poll(), list(self._warnings), None, None
@@ -367,12 +324,11 @@ class AravisCamera:
         device = self._device
         return device is not None and gvcp.probe(device.address, PROBE_S) is not None
 
-    def _register(self, address: int) -> int:
-        with aravis_errors(self.id, f"read register 0x{address:x}"):
-            return int(self._camera.get_device().read_register(address))
-
     def _counter(self, name: str) -> int:
         return int(self._stream.get_info_uint64_by_name(name))
 
     def _features(self) -> FeatureAccess:
         return FeatureAccess(load_aravis(self.id), self.id, self._camera.get_device())
+
+    def _registers(self) -> BootstrapRegisters:
+        return BootstrapRegisters(self.id, self._camera.get_device())

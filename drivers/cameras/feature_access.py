@@ -80,13 +80,18 @@ class FeatureAccess:
         with aravis_errors(self._camera, f"ask for the entries of {own}"):
             return list(self._device.dup_available_enumeration_feature_values_as_strings(own))
 
-    def lowest(self, own: str) -> float:
-        """Return the least value of a number."""
-        return self._bounds(own)[0]
+    def bounds(self, own: str) -> tuple[float, float]:
+        """Return the present range of a number."""
+        with aravis_errors(self._camera, f"read the range of {own}"):
+            if self._kind(own) is int:
+                low, high = self._device.get_integer_feature_bounds(own)
+            else:
+                low, high = self._device.get_float_feature_bounds(own)
+        return low, high
 
     def can_be(self, own: str, value: float) -> bool:
         """True when a number's present range has this value."""
-        low, high = self._bounds(own)
+        low, high = self.bounds(own)
         return low <= value <= high
 
     def execute(self, own: str) -> None:
@@ -124,9 +129,7 @@ class FeatureAccess:
         if name in WRITE_ONLY:
             self._write(own, value, name)
             return None
-        if not self._is_same(
-            own, self.read(own), value
-        ):  # only then: a feature may be fixed and not writable
+        if not self._is_same(own, self.read(own), value):  # a feature may be fixed and not writable
             self._write(own, value, name)
         got = self.read(own)
         if not self._is_same(own, got, value):
@@ -169,20 +172,11 @@ class FeatureAccess:
             increment = self._device.get_float_feature_increment(own)  # raises where there is none
         return abs(got - wanted) <= max(increment, 1e-6 * abs(wanted))
 
-    def _bounds(self, own: str) -> tuple[float, float]:
-        """Return the present range of a number."""
-        with aravis_errors(self._camera, f"read the range of {own}"):
-            if self._kind(own) is int:
-                low, high = self._device.get_integer_feature_bounds(own)
-            else:
-                low, high = self._device.get_float_feature_bounds(own)
-        return low, high
-
     def _range(self, own: str) -> str:
         """Return the end of a message: what a number or an enumeration can be, empty where that is not told."""
         with suppress(CameraUnavailableError):
             if self._kind(own) in (int, float):
-                low, high = self._bounds(own)
+                low, high = self.bounds(own)
                 return f": it can do {low:.12g} to {high:.12g}"
             if isinstance(self._device.get_feature(own), self._aravis.GcEnumeration):
                 return f": it can be {', '.join(self.entries(own))}"

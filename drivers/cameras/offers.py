@@ -1,4 +1,4 @@
-"""Ask of a camera what it offers: entries under other names, neutral values for what other programs left on."""
+"""Settings as a camera offers them: entries under other names, neutral values for what other programs left on."""
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
@@ -49,7 +49,7 @@ def put_back(
             remarks.append(told(DeviceFault.FEATURE_STAYS, feature=own, value=str(before)))
             continue
         if (after := features.read(own)) != before:
-            remarks.append(_was_put_back(own, before, after))
+            remarks.append(was_put_back(own, before, after))
     return held, remarks
 
 
@@ -69,9 +69,8 @@ def _unset(
         if any(features.own_name(switch) for switch in SWITCHES.get(name, ())):
             continue
         selector = features.own_name(SELECTORS[name]) if name in SELECTORS else None
-        for choice in features.entries(selector) if selector else [None]:
-            selection: list[Feature] = [(selector, choice)] if selector and choice else []
-            yield selection, own, (name, neutral)
+        for entry in features.entries(selector) if selector else [""]:
+            yield [(selector, entry)] if selector else [], own, (name, neutral)
 
 
 def as_offered(features: FeatureAccess, wanted: Sequence[Feature], remarks: list[Told]) -> Iterator[Feature]:
@@ -108,7 +107,7 @@ def _entry(features: FeatureAccess, own: str, wanted: Feature) -> str:
         return entry
     if is_wire:
         wires = [each for each in offered if each.startswith(INPUTS)]
-        return wires[0] if len(wires) == 1 else entry  # among several only people know which one is wired
+        return wires[0] if len(wires) == 1 else entry  # among several it is not known which one is wired
     return next((each for each in others if each in offered), entry)
 
 
@@ -133,16 +132,15 @@ def _input_line(features: FeatureAccess, source: str, remarks: list[Told]) -> It
     yield "LineSelector", source
     if features.own_name("LineMode") is not None:
         if (before := features.read("LineMode")) != "Input":
-            remarks.append(_was_put_back(f"LineMode of {source}", before, "Input"))
+            remarks.append(was_put_back(f"LineMode of {source}", before, "Input"))
         yield "LineMode", "Input"
 
 
-def _was_put_back(feature: str, before: Value, after: Value) -> Told:
+def was_put_back(feature: str, before: Value, after: Value) -> Told:
+    """Return the remark on a setting that another program had left on."""
     return told(DeviceFault.FEATURE_PUT_BACK, feature=feature, before=str(before), after=str(after))
 
 
 def _nearest(features: FeatureAccess, own: str, neutral: Value) -> Value:
     """Return the neutral value; of a level whose range begins above it, the least."""
-    if own.startswith("BlackLevel") and (low := features.lowest(own)) > 0:
-        return low
-    return neutral
+    return max(features.bounds(own)[0], 0.0) if own.startswith("BlackLevel") else neutral

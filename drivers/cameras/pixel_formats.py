@@ -14,7 +14,7 @@ Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class PixelFormat:
-    """How pixels lie in memory: `upper_bits` takes the bytes of whole groups (N, group_bytes), returns (N, pixels)."""
+    """Layout of pixels in memory: `upper_bits` turns bytes of whole groups (N, group_bytes) into (N, pixels)."""
 
     group_bytes: int
     group_pixels: int
@@ -53,7 +53,6 @@ def _upper_bits_of_12p(groups: Bytes) -> Bytes:
 _PACKED = PixelFormat(3, 2, lambda groups: groups[:, ::2])
 """Two pixels in three bytes: upper bits, the lower bits of both, upper bits."""
 
-MONO8 = "Mono8"
 CONVERTED: dict[str, PixelFormat] = {
     "Mono10p": PixelFormat(5, 4, _upper_bits_of_10p),
     "Mono12p": PixelFormat(3, 2, _upper_bits_of_12p),
