@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
 from drivers.errors import DeviceFault, told
-from drivers.gates.gate_thread import keep_port, port_problem
 from drivers.gates.line_gate import LineGate
+from drivers.gates.port import keep_port, port_problem
 
 LOOK_S = 0.001
 """Interval of polling."""

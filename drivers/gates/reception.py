@@ -29,7 +29,7 @@ class GateCounters:
 
 
 class Reception:
-    """Bytes without a valid line; tells a port that nothing arrives at from one that cannot be understood."""
+    """Bytes without a valid line: they distinguish a silent gate from one that cannot be read."""
 
     def __init__(self) -> None:
         self.begin(0)

@@ -14,7 +14,8 @@ from drivers.files.times import ns_since
 from drivers.gates.gate_listener import GateListener
 from drivers.gates.gate_protocol import STONEFALL
 from drivers.gates.gate_records import GateProtocol, Identity
-from drivers.gates.gate_thread import GateThread, keep_port, port_problem
+from drivers.gates.gate_thread import GateThread
+from drivers.gates.port import keep_port, port_problem
 from drivers.gates.reception import GateCounters
 from drivers.interfaces import DeviceEvent, EventSink, TriggersLost
 from pipeline.frames import BundleKind, GateCount, Trigger

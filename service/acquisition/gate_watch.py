@@ -19,7 +19,9 @@ EARLY_STONES = 5
 
 
 class _Recent(deque[tuple[float, int]]):
-    """Stones of one kind of trouble within the last minute: when, and how many."""
+    """Stones of one kind of trouble within the last minute: when, and how many; the reason told last."""
+
+    why = ""
 
     def until(self, now_s: float) -> int:
         """Return their number, and forget those before."""
@@ -34,8 +36,7 @@ class GateWatch:
     def __init__(self, bundling: BundlingParameters) -> None:
         self._bundling = bundling
         self._unannounced, self._late = _Recent(), _Recent()
-        self._counted, self._heard_late = _Recent(), _Recent()
-        self._counted_why = self._heard_late_why = ""
+        self._counted, self._missed = _Recent(), _Recent()  # by the gate; by this machine
         self._n_silent = 0  # stones in a row that were not announced
         self._early_ms: deque[float] = deque(maxlen=EARLY_STONES)
 
@@ -58,17 +59,14 @@ class GateWatch:
         self._late.append((now_s, 1))
 
     def note_gap(self, gap: TriggersLost, now_s: float) -> None:
-        """Note a gap in the gate's own counter, or in what this machine heard of its line."""
-        if gap.by_host:
-            self._heard_late.append((now_s, gap.count))
-            self._heard_late_why = gap.reason
-        else:
-            self._counted.append((now_s, gap.count))
-            self._counted_why = gap.reason
+        """Note a gap in the gate's own counter, or in what this machine read from its line."""
+        gaps = self._missed if gap.by_host else self._counted
+        gaps.append((now_s, gap.count))
+        gaps.why = gap.reason
 
     def warnings(self, now_s: float) -> tuple[CodedText, ...]:
         """Return the present troubles of the gate, each with the remedy."""
-        n_late, n_counted = self._late.until(now_s), self._counted.until(now_s)
+        n_late = self._late.until(now_s)
         n_unannounced = self._unannounced.until(now_s) - n_late
         found = []
         if n_unannounced >= 1 and self._n_silent >= SILENT_STONES:
@@ -77,10 +75,9 @@ class GateWatch:
             found.append(message(Code.GATE_UNANNOUNCED, stones=n_unannounced))
         if n_late:
             found.append(message(Code.GATE_LATE, stones=n_late))
-        if n_counted:
-            found.append(message(Code.GATE_COUNTED, stones=n_counted, reported=self._counted_why))
-        if n_heard_late := self._heard_late.until(now_s):
-            found.append(message(Code.GATE_HEARD_LATE, stones=n_heard_late, reported=self._heard_late_why))
+        for code, gaps in ((Code.GATE_COUNTED, self._counted), (Code.GATE_HEARD_LATE, self._missed)):
+            if n_stones := gaps.until(now_s):
+                found.append(message(code, stones=n_stones, reported=gaps.why))
         if len(self._early_ms) == EARLY_STONES and median(self._early_ms) > self._bundling.window_ms / 2:
             found.append(message(Code.GATE_EARLY, early_ms=median(self._early_ms)))
         return tuple(found)

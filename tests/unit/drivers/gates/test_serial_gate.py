@@ -2,6 +2,7 @@ import errno
 import grp
 import os
 import random
+import re
 import termios
 import threading
 from collections.abc import Iterator
@@ -14,9 +15,10 @@ from support.pty_gate import PtyGate, pty_settings, serial_gate
 from support.sinks import Collector
 
 from drivers.errors import GateUnavailableError
-from drivers.gates.gate_protocol import checksum, encode
+from drivers.gates.gate_listener import GateListener
+from drivers.gates.gate_protocol import STONEFALL, checksum, encode
 from drivers.gates.gate_records import Edge, Identity
-from drivers.gates.gate_thread import keep_port, port_problem
+from drivers.gates.port import keep_port, port_problem
 from drivers.gates.serial_gate import SerialGate, SerialGateSettings
 from drivers.interfaces import GateLost, PulseEnded, TriggersIgnored, TriggersLost
 from pipeline.frames import BundleKind, GateCount, Trigger
@@ -345,7 +347,7 @@ def test_no_other_program_may_read_the_port(
     asked: list[int] = []
     monkeypatch.setattr("fcntl.ioctl", lambda _, request: asked.append(request))
     if not is_pty:
-        monkeypatch.setattr("drivers.gates.gate_thread.PTY_MAJORS", range(0))
+        monkeypatch.setattr("drivers.gates.port.PTY_MAJORS", range(0))
     fd = os.open(device.link, os.O_RDWR | os.O_NOCTTY)
     try:
         keep_port(fd)
@@ -364,30 +366,43 @@ FOREIGN = b"beam broken, 17 objects\r\n"
 
 
 @pytest.mark.parametrize(
-    ("sent", "problem"),
+    ("received", "problem"),
     [
         (NOISE * 30 + b"\n", "sends damaged lines only: [1-9][0-9]* and no valid one within 0.3 s"),
         (NOISE, "sends damaged lines only: [0-9]+ and no valid one"),  # no line end is among it
         (FOREIGN, 'sends text, but within 0.3 s no line of the protocol.*"beam broken, 17 objects"'),
         (b"$S,1,2,0,0*abcd\r", r'sends text, but .*"\$S,1,2,0,0\*abcd"'),
-        (b"", r"sends no identity and status within 0.3 s \(0 damaged lines\)"),
+    ],
+)
+def test_what_cannot_be_read_is_noise_or_text_of_others(received: bytes, problem: str) -> None:
+    listener = GateListener(STONEFALL, baud=115_200, debounce_ns=1000)
+    for _ in range(10):
+        listener.hear(received, 0)
+    assert re.search(problem, listener.not_understood(0.3) or "")
+    listener.reopen()
+    assert listener.not_understood(0.3) is None
+
+
+@pytest.mark.parametrize(
+    ("sent", "problem"),
+    [
+        (NOISE * 30 + b"\n", "sends damaged lines only: [1-9][0-9]* and no valid one within 1 s"),
+        (b"", r"sends no identity and status within 1 s \(0 damaged lines\)"),
     ],
 )
 def test_what_cannot_be_read_is_no_silence_when_it_is_opened(
     device: PtyGate, settings: SerialGateSettings, sent: bytes, problem: str
 ) -> None:
     device.answers = False
-    gate = SerialGate(replace(settings, answer_timeout_s=0.3, silence_s=1.01))
-    for _ in range(2):  # the damaged lines of one opening are none of the next
-        sending = threading.Event()
-        sender = threading.Thread(target=send_until, args=(sending, device, sent))
-        sender.start()
-        try:
-            with pytest.raises(GateUnavailableError, match=problem):
-                gate.open()
-        finally:
-            sending.set()
-            sender.join()
+    sending = threading.Event()
+    sender = threading.Thread(target=send_until, args=(sending, device, sent))
+    sender.start()
+    try:
+        with pytest.raises(GateUnavailableError, match=problem):
+            SerialGate(replace(settings, answer_timeout_s=1.0)).open()
+    finally:
+        sending.set()
+        sender.join()
 
 
 def send_until(stopping: threading.Event, device: PtyGate, data: bytes) -> None:
