@@ -66,12 +66,12 @@ class DeviceFault(StrEnum):
     )
     GATE_CLOCK_SHORT = (
         "gate_clock_short",
-        "its clock has 32 bits and began again at 0, as it does every 71.6 minutes: it was counted on; let its firmware"
-        " send 64 bits, as the protocol asks, so that this is never taken for a restart",
+        "its clock has 32 bits and wrapped to 0, as it does every 71.6 minutes: it was counted on; let its firmware"
+        " send 64 bits, as the protocol asks, so that a wrap is never taken for a restart",
     )
     GATE_LINES_UNKNOWN = (
         "gate_lines_unknown",
-        "sent {lines} whole lines within the last minute that this version does not know, the last one"
+        "sent {lines} lines with a valid checksum within the last minute that this version does not know, the last one"
         ' "{reported}": they are left out; look at the firmware',
     )
     GATE_PORT_DENIED = (

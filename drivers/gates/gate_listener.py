@@ -221,7 +221,7 @@ class GateListener:
         if step.has_wrapped:
             self._counters.wraps += 1
             self._is_clock_short = True
-            log.warning("light gate: its clock of 32 bits began again at 0; it is counted on")
+            log.warning("light gate: its clock of 32 bits wrapped to 0; it is counted on")
         if not step.missed:
             return []
         self._counters.missed += step.missed

@@ -75,7 +75,7 @@ class GateWatch:
             found.append(message(Code.GATE_UNANNOUNCED, stones=n_unannounced))
         if n_late:
             found.append(message(Code.GATE_LATE, stones=n_late))
-        for code, gaps in ((Code.GATE_COUNTED, self._counted), (Code.GATE_HEARD_LATE, self._missed)):
+        for code, gaps in ((Code.GATE_COUNTED, self._counted), (Code.GATE_EDGES_MISSED, self._missed)):
             if n_stones := gaps.until(now_s):
                 found.append(message(code, stones=n_stones, reported=gaps.why))
         if len(self._early_ms) == EARLY_STONES and median(self._early_ms) > self._bundling.window_ms / 2:

@@ -74,7 +74,7 @@ class Code(StrEnum):
     GATE_UNANNOUNCED = "gate_unannounced"
     GATE_LATE = "gate_late"
     GATE_COUNTED = "gate_counted"
-    GATE_HEARD_LATE = "gate_heard_late"
+    GATE_EDGES_MISSED = "gate_edges_missed"
     GATE_EARLY = "gate_early"
     ACQUISITION_DISARMED = "acquisition_disarmed"
     ACQUISITION_ARMING = "acquisition_arming"

@@ -450,7 +450,7 @@ def test_whole_lines_of_another_version_are_left_out_and_named(
     assert isinstance(sink.next(), Trigger)
     assert (gate.counters.unknown, gate.counters.garbage) == (2, 0)
     (warning,) = [text for text in gate.warnings if "does not know" in text]
-    assert "sent 2 whole lines within the last minute" in warning
+    assert "sent 2 lines with a valid checksum within the last minute" in warning
     assert '"$E,007,12*' in warning
 
 

@@ -66,11 +66,11 @@ def test_stones_that_only_the_counter_knows_are_no_sign_of_a_silent_gate(watch: 
     assert watch.warnings(1 + RECENT_S + 1) == ()
 
 
-def test_edges_that_this_machine_heard_too_late_are_no_fault_of_the_gate(watch: GateWatch) -> None:
+def test_edges_that_this_machine_missed_are_no_fault_of_the_gate(watch: GateWatch) -> None:
     watch.note_gap(replace(gap(2), reason="3 edges dropped by the kernel", by_host=True), 1)
     (warning,) = watch.warnings(2)
     assert warning.startswith(
-        "this machine heard 2 stones of its line too late within the last minute (3 edges"
+        "this machine missed the edges of 2 stones on its line within the last minute (3 edges"
     )
     assert warning.endswith("look at the load of this machine")
     watch.note_gap(gap(1), 2)
