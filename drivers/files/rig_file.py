@@ -12,16 +12,8 @@ from pipeline.arrays import Floats
 from pipeline.errors import RigError
 from pipeline.rig.cameras import RigCalibration, rig_to_document
 from pipeline.rig.document import rig_from_document
-from pipeline.rig.foreign import (
-    Entry,
-    Placement,
-    Size,
-    from_blender,
-    from_colmap,
-    from_matrices,
-    from_opencv,
-    placed_rig,
-)
+from pipeline.rig.foreign import Size, from_blender, from_colmap, from_matrices, from_opencv
+from pipeline.rig.placing import Entry, Placement, placed_rig
 
 OPENCV_SUFFIXES = (".yml", ".yaml", ".xml")
 OPENCV_NAMES = {

@@ -1,14 +1,12 @@
-"""Cameras as other programs write them, as a rig: bare matrices, OpenCV, COLMAP, and Blender with its relatives.
+"""Cameras of other programs as entries of the rig document: bare matrices, OpenCV, COLMAP, Blender and its relatives.
 
 All that differs is put right here: the place of pixel (0, 0), whose centre has the coordinates (0.5, 0.5) in COLMAP
 and in files of Blender's form; the axes, of which Blender's y is up and z backwards; camera to world, or world to
-camera; the unit of lengths and the origin of the world, which a file does not tell. The world's axes stay.
+camera. Unit and origin, which a file does not tell, are those of `pipeline.rig.placing`.
 """
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import count
 from typing import Any
 
 import numpy as np
@@ -17,12 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.arrays import Floats, Vector
 from pipeline.errors import RigError
-from pipeline.rig.camera_arrays import nearest_point
-from pipeline.rig.cameras import FORMAT, RigCalibration
-from pipeline.rig.document import decompose_projection, rig_from_document
+from pipeline.rig.placing import Entry
 
-Entry = dict[str, Any]
-"""A camera as an entry of the rig document, but for its lengths: `R` and `t_mm` in the world and units of the file."""
 Size = tuple[int, int]
 CORNER_PX = 0.5
 """Coordinate of the centre of the first pixel where pixels are counted from the corner of the image."""
@@ -41,48 +35,6 @@ FLIP = np.diag([1.0, -1.0, -1.0])
 """From a camera with y up, looking along -z, to one with y down, looking along z."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Placement:
-    """Unit and origin of the world of a file."""
-
-    mm_per_unit: float = 1.0
-    origin: tuple[float, float, float] | None = (
-        0.0,
-        0.0,
-        0.0,
-    )  # in the file's units; None: nearest to all axes
-
-    def __str__(self) -> str:
-        origin = "nearest to the axes" if self.origin is None else "{:g},{:g},{:g}".format(*self.origin)
-        return f"{self.mm_per_unit:g} mm a unit, origin {origin}"
-
-
-def placed_rig(name: str, entries: Sequence[Entry], placement: Placement) -> RigCalibration:
-    """Return the rig of cameras in the order of their ids, in mm, around the origin.
-
-    Raises
-    ------
-    RigError
-        As `rig_from_document`.
-    """
-    entries = sorted(entries, key=lambda entry: str(entry["id"]))
-    for index, entry in enumerate(entries):
-        if "projection" in entry:
-            projection = np.asarray(entry.pop("projection"), np.float64)
-            entry["K"], entry["R"], entry["t_mm"] = decompose_projection(projection, f"cameras[{index}]")
-    rotations = np.array([entry["R"] for entry in entries]).reshape(-1, 3, 3)
-    shifts = np.array([entry["t_mm"] for entry in entries]).reshape(-1, 3)
-    origin = np.asarray(placement.origin or (0.0, 0.0, 0.0))
-    if placement.origin is None and len(entries) > 1:
-        origin = nearest_point(-(shifts[:, None] @ rotations)[:, 0], rotations[:, 2])
-    placed_mm = placement.mm_per_unit * (rotations @ origin + shifts)
-    cameras = [
-        {**entry, "K": np.asarray(entry["K"]).tolist(), "R": R.tolist(), "t_mm": t_mm.tolist()}
-        for entry, R, t_mm in zip(entries, rotations, placed_mm, strict=True)
-    ]
-    return rig_from_document({"format": FORMAT, "name": name, "method": "imported", "cameras": cameras})
-
-
 def from_matrices(text: str, size_px: Size) -> list[Entry]:
     """Return the cameras of a text with a line for each: its name, then P (3, 4), or K (3, 3), R (3, 3) and t (3,).
 
@@ -95,9 +47,8 @@ def from_matrices(text: str, size_px: Size) -> list[Entry]:
         A line has another form.
     """
     entries = []
-    for number, line in enumerate(text.splitlines(), 1):
-        words = re.sub(r"[\[\](),;]", " ", line).split()
-        if not words or words[0].startswith("#") or (len(words) == 1 and words[0].isdigit()):
+    for number, words in _lines(re.sub(r"[\[\](),;]", " ", text)):
+        if len(words) == 1 and words[0].isdigit():
             continue
         values = _floats(words[1:], f"line {number}")
         entry: Entry = {"id": camera_name(words[0]), "image_size_px": list(size_px)}
@@ -233,7 +184,7 @@ def _lens(values: Mapping[str, float], size_px: Size) -> Entry:
 
 def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
     """Yield number and words of each line that is no comment."""
-    for number, line in zip(count(1), text.splitlines(), strict=False):
+    for number, line in enumerate(text.splitlines(), 1):
         if not line.lstrip().startswith("#") and (words := line.split()):
             yield number, words
 

@@ -28,7 +28,7 @@ from drivers.interfaces import FrameLossReason
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger, rfc3339
 from pipeline.rig.camera_arrays import camera_arrays
 from pipeline.rig.cameras import RigCalibration
-from pipeline.rig.foreign import Placement
+from pipeline.rig.placing import Placement
 from service.base.errors import UsageError
 from service.commands.imported_images import ImageReader
 from service.commands.options import with_options

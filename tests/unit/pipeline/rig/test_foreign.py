@@ -17,7 +17,8 @@ from pipeline.arrays import PointsMM, PointsUV
 from pipeline.errors import RigError
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
-from pipeline.rig.foreign import Placement, camera_name, from_matrices, placed_rig
+from pipeline.rig.foreign import camera_name, from_matrices
+from pipeline.rig.placing import Placement, placed_rig
 
 PLACEMENT = Placement(mm_per_unit=25.4, origin=(1.5, -0.25, 3.0))
 SIZE_PX = (1280, 1024)
