@@ -1,16 +1,19 @@
 """Cameras with the ways of seven vendors, through the real driver: opened as they were left, they see what is there."""
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.eventually import eventually
-from support.gige import SIZE_PX, design, picture, powered, settings_for
+from support.gige import INTERFACE, NET, SIZE_PX, design, picture, powered, settings_for
 from support.sinks import Collector
 
 from drivers.cameras.aravis import AravisCamera
 from drivers.cameras.frame_reader import CHUNKS
+from drivers.cameras.genicam import action_features, trigger_features
+from drivers.cameras.host_trigger import ActionKeys, ActionTrigger
 from drivers.cameras.pixel_formats import CONVERTED
 from drivers.errors import CameraUnavailableError, DeviceFault, Told
 from drivers.gige_simulator.camera import SimulatedCamera
@@ -18,29 +21,26 @@ from drivers.gige_simulator.personalities import FLIR, HIKROBOT, JAI, LUCID, PER
 from drivers.interfaces import FrameLost
 from pipeline.frames import Frame
 
+Prepare = Callable[[SimulatedCamera], None]
 Opened = tuple[SimulatedCamera, AravisCamera, Collector]
 
 
 @pytest.fixture
 def opened() -> Iterator[Callable[..., Opened]]:
-    """Power cameras, open and arm the drivers to them; all are closed."""
-    closing: list[Callable[[], object]] = []
+    """Power cameras, prepare them, open and arm the drivers to them; all are closed."""
+    with ExitStack() as stack:
 
-    def make(ways: Personality, **changes: object) -> Opened:
-        source = changes.pop("source", next(iter(ways.sources)))
-        made = design(personality=ways)
-        power = powered(made)
-        simulated = power.__enter__()
-        closing.append(lambda: power.__exit__(None, None, None))
-        camera = AravisCamera(settings_for(made, source=str(source), **changes))
-        closing.append(camera.close)
-        camera.open()
-        camera.arm(sink := Collector())
-        return simulated, camera, sink
+        def make(ways: Personality, prepare: Prepare = lambda _: None, **changes: object) -> Opened:
+            source = changes.pop("source", next(iter(ways.sources)))
+            made = design(personality=ways)
+            prepare(simulated := stack.enter_context(powered(made)))
+            camera = AravisCamera(settings_for(made, source=str(source), **changes))
+            stack.callback(camera.close)
+            camera.open()
+            camera.arm(sink := Collector())
+            return simulated, camera, sink
 
-    yield make
-    for close in reversed(closing):
-        close()
+        yield make
 
 
 def said(camera: AravisCamera, fault: DeviceFault) -> dict[str, str]:
@@ -98,7 +98,7 @@ def test_images_of_other_formats_are_their_upper_bits(name: str, opened: Callabl
 
 
 def test_a_camera_of_colours_alone_is_refused_with_what_it_offers() -> None:
-    problem = refused(replace(PLAIN, pixel_formats=()), pixel_formats={"BayerRG8": 0x01080009})
+    problem = refused(replace(PLAIN, pixel_formats=("BayerRG8",)))
     assert "cannot set PixelFormat to Mono8" in problem
     assert "it can be BayerRG8" in problem
 
@@ -126,34 +126,25 @@ def test_a_user_set_that_the_configuration_loads_is_the_configuration(opened: Ca
     assert simulated.feature("Gamma") == 1.0  # as the set has it
 
 
-def test_what_cannot_be_put_back_is_told(
-    opened: Callable[..., Opened],
-) -> None:
+def test_what_cannot_be_put_back_is_told(opened: Callable[..., Opened]) -> None:
     dark = replace(PLAIN, left_on={"BlackLevel": 3.0}, fixed=frozenset({"BlackLevel"}))
     assert opened(dark)[1].examine().remarks == ("BlackLevel is 3.0, and cannot be put back",)
 
 
-def test_a_mirrored_camera_is_used_only_if_the_configuration_says_so() -> None:
+def test_a_mirrored_camera_is_used_only_if_the_configuration_says_so(opened: Callable[..., Opened]) -> None:
     mirrored = replace(PLAIN, left_on={"ReverseX": 1}, fixed=frozenset({"ReverseX"}))
     assert "if ReverseX shall stay True, set it so in features" in refused(mirrored)
-    made = design(personality=mirrored)
-    settings = settings_for(made)
-    with powered(made):
-        camera = AravisCamera(replace(settings, features=(*settings.features, ("ReverseX", True))))
-        camera.open()
-        assert camera.examine().remarks == ()
-        camera.close()
+    features = (*settings_for(design()).features, ("ReverseX", True))
+    assert opened(mirrored, features=features)[1].examine().remarks == ()
 
 
-def test_each_engine_of_a_camera_that_bins_is_put_back() -> None:
-    made = design(personality=replace(FLIR, left_on={}))
-    with powered(made) as simulated:
-        simulated.tamper("BinningVertical", 3, FLIR.binning_engines.index("ISP"))
-        simulated.tamper("BinningVertical", 2, FLIR.binning_engines.index("Sensor"))
-        camera = AravisCamera(settings_for(made, source="Line0"))
-        camera.open()
-        put_back = [str(remark) for remark in camera.examine().remarks]
-        camera.close()
+def test_each_engine_of_a_camera_that_bins_is_put_back(opened: Callable[..., Opened]) -> None:
+    def prepare(simulated: SimulatedCamera) -> None:
+        for factor, engine in ((3, "ISP"), (2, "Sensor")):
+            simulated.tamper("BinningVertical", factor, FLIR.binning_engines.index(engine))
+
+    _, camera, _ = opened(replace(FLIR, left_on={}), prepare)
+    put_back = [str(remark) for remark in camera.examine().remarks]
     assert put_back == [f"BinningVertical was {n}: put back to 1" for n in (2, 3)]
 
 
@@ -201,15 +192,10 @@ def test_a_burst_that_would_never_end_is_refused() -> None:
 def test_a_trigger_that_others_left_on_is_switched_off(opened: Callable[..., Opened]) -> None:
     """ic4-examples 9: with ExposureActive on, the camera waits for a second signal."""
     ways = PERSONALITIES["The Imaging Source"]
-    made = design(personality=ways)
-    with powered(made) as simulated:
-        simulated.tamper("TriggerMode", "On", bank=ways.selectors.index("ExposureActive"))
-        camera = AravisCamera(settings_for(made, source="Hardware"))
-        camera.open()
-        camera.arm(sink := Collector())
-        simulated.line()
-        assert isinstance(sink.next(), Frame)
-        camera.close()
+    bank = ways.selectors.index("ExposureActive")
+    simulated, _, sink = opened(ways, lambda camera: camera.tamper("TriggerMode", "On", bank))
+    simulated.line()
+    assert isinstance(sink.next(), Frame)
 
 
 def test_the_only_input_is_the_one_that_is_wired(opened: Callable[..., Opened]) -> None:
@@ -219,7 +205,7 @@ def test_the_only_input_is_the_one_that_is_wired(opened: Callable[..., Opened]) 
     assert isinstance(sink.next(), Frame)
 
 
-def test_among_several_inputs_people_choose() -> None:
+def test_among_several_inputs_the_configuration_chooses() -> None:
     problem = refused(FLIR, source="Line1")
     assert "cannot set TriggerSource to Line1" in problem
     assert "it can be Line0, Line2, Line3, Software, Action0" in problem
@@ -229,28 +215,28 @@ def test_among_several_inputs_people_choose() -> None:
 def test_a_line_that_others_made_an_output_triggers_again(opened: Callable[..., Opened]) -> None:
     """VimbaPython 21: lines can be inputs and outputs."""
     bank = LUCID.lines.index("Line2")
-    made = design(personality=LUCID)
-    with powered(made) as simulated:
-        simulated.tamper("LineMode", "Output", bank)
-        camera = AravisCamera(settings_for(made, source="Line2"))
-        camera.open()
-        camera.arm(sink := Collector())
-        simulated.line("Line2", rising=True)
-        assert isinstance(sink.next(), Frame)
-        assert said(camera, DeviceFault.FEATURE_PUT_BACK)["LineMode of Line2"] == "Input"
-        camera.close()
+    simulated, camera, sink = opened(
+        LUCID, lambda camera: camera.tamper("LineMode", "Output", bank), source="Line2"
+    )
+    simulated.line("Line2")
+    assert isinstance(sink.next(), Frame)
+    assert said(camera, DeviceFault.FEATURE_PUT_BACK)["LineMode of Line2"] == "Input"
 
 
 def test_action_commands_reach_cameras_that_count_actions_from_0(opened: Callable[..., Opened]) -> None:
-    _, camera, _ = opened(LUCID, source="Action1")
+    keys = {"device_key": 0x51, "group_key": 2, "group_mask": 4}
+    features = (*trigger_features(source="Action1", delay_us=0.0), *action_features(**keys))
+    _, camera, sink = opened(LUCID, features=features)
     assert said(camera, DeviceFault.ENTRY_INSTEAD) == {"TriggerSource": "Action0"}
+    ActionTrigger(ActionKeys(**keys, targets=(f"{NET}.2",)), [INTERFACE])()
+    assert isinstance(sink.next(), Frame)
 
 
 # --- clocks ---
 
 
-def test_a_camera_that_is_the_master_of_the_others_warns_of_nothing(opened: Callable[..., Opened]) -> None:
-    """pypylon 595, 662: cameras elect one of themselves; whether it is the only one, the rig knows."""
+def test_a_camera_that_is_the_master_of_the_others_warns_of_nothing() -> None:
+    """pypylon 595, 662: cameras elect one of themselves; that it is the only one, the rig checks."""
     made = design(is_clock_master=True)
     settings = settings_for(made)
     with powered(made):
@@ -319,11 +305,9 @@ def test_a_heartbeat_that_a_debugger_left_on_is_as_usual_again(
         second.open()
 
 
-def refused(ways: Personality, pixel_formats: dict[str, int] | None = None, **changes: object) -> str:
-    """Why a camera cannot be opened."""
+def refused(ways: Personality, **changes: object) -> str:
+    """The reason why a camera cannot be opened."""
     source = changes.pop("source", next(iter(ways.sources)))
-    if pixel_formats:
-        ways = replace(ways, pixel_formats=tuple(pixel_formats))
     made = design(personality=ways)
     with powered(made):
         camera = AravisCamera(settings_for(made, source=str(source), **changes))
