@@ -23,8 +23,6 @@ class FrameLossReason(StrEnum):
 
     DAMAGED = "damaged"
     """Its page in a bundle file is torn or does not match its checksum."""
-    FOREIGN = "foreign"
-    """Its page is whole, and not as we write it: another program changed its size or its kind of pixels."""
     ABSENT = "absent"
     """The bundle file neither has the frame nor says why."""
     UNREADABLE = "unreadable"

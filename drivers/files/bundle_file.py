@@ -32,7 +32,6 @@ Compression = Literal["none", "zstd"]
 MAPPED_FILES = 4
 """How many files stay mapped, for those that are written over again and again: mapping 21 MB anew takes 2 ms."""
 
-FOREIGN_PAGE = "not an 8-bit grey image of the recorded size, as if another program had written it"
 TIFF_DAMAGE = (
     tifffile.TiffFileError,
     struct.error,
@@ -164,23 +163,25 @@ def read_bundle(
     Raises
     ------
     RecordingError
-        As `read_header`, or the file names a camera that is not in `camera_ids`, or every page is damaged.
+        As `read_header`, or the file names a camera that is not in `camera_ids`, or every page is damaged; or pages
+        are not as recorded, as if another program had written them.
     """
     frames: dict[CameraId, Frame] = {}
     with _open(path) as tiff:
         header = _header(path, tiff)
         require_cameras_of(header, camera_ids)
+        first = tiff.pages.first
+        if first.shape != header.image_size_px[::-1] or first.dtype != "uint8":
+            problem = "its pages are not 8-bit grey images of the recorded size"
+            raise RecordingError(path, f"{problem}, as if another program had written them")
         tiff.pages.useframes = True  # all pages are alike: only their offsets are read
-        pixels = _mapped_pixels(tiff, header.image_size_px) if mapped else None
+        pixels = _mapped_pixels(tiff) if mapped else None
         absent = [camera for camera in camera_ids if camera not in header.frames]
         missing: dict[CameraId, str] = dict.fromkeys(absent, FrameLossReason.ABSENT)
         missing.update(header.missing)
         for camera, entry in header.frames.items():
             image = _image(tiff, pixels, entry, header.image_size_px)
-            if isinstance(image, FrameLossReason):
-                missing[camera] = image
-                continue
-            if checked and crc32(image.data) != entry.crc32:
+            if image is None or (checked and crc32(image.data) != entry.crc32):
                 missing[camera] = FrameLossReason.DAMAGED
                 continue
             frames[camera] = Frame(
@@ -191,8 +192,7 @@ def read_bundle(
                 received_ns=entry.received_ns,
             )
     if not frames:
-        is_damaged = FrameLossReason.DAMAGED in missing.values()
-        raise RecordingError(path, f"every page is {'damaged' if is_damaged else FOREIGN_PAGE}")
+        raise RecordingError(path, "every page is damaged")
     return FrameBundle(trigger=header.trigger, frames=frames, missing=missing)
 
 
@@ -211,12 +211,11 @@ def _open(path: Path) -> tifffile.TiffFile:
         raise RecordingError(path, f"is not a readable TIFF: {err}") from err
 
 
-def _mapped_pixels(tiff: tifffile.TiffFile, size_px: tuple[int, int]) -> NDArray[np.uint8] | None:
-    """Map the pixels (N,) of all pages, one behind the other; None if they are not as we write them uncompressed."""
+def _mapped_pixels(tiff: tifffile.TiffFile) -> NDArray[np.uint8] | None:
+    """Map the pixels (N,) of all pages, one behind the other; None if the file is compressed or damaged."""
     try:
         first = tiff.pages.first
-        is_ours = first.shape == size_px[::-1] and first.dtype == "uint8"
-        if first.compression != tifffile.COMPRESSION.NONE or not is_ours:
+        if first.compression != tifffile.COMPRESSION.NONE:
             return None
         found = os.fstat(tiff.filehandle.fileno())
         mapping = _mapping(Path(tiff.filehandle.path), found.st_dev, found.st_ino, found.st_size)
@@ -234,22 +233,19 @@ def _mapping(path: Path, device: int, inode: int, size: int) -> mmap.mmap:
 
 def _image(
     tiff: tifffile.TiffFile, pixels: NDArray[np.uint8] | None, entry: FrameEntry, size_px: tuple[int, int]
-) -> Image | FrameLossReason:
-    """Return the image (H, W) of a page, or the reason why it cannot be read."""
+) -> Image | None:
+    """Return the image (H, W) of a page, None when it cannot be read."""
     width_px, height_px = size_px
     n_pixels = width_px * height_px
     try:
         image: Image
         if pixels is None:
-            page = tiff.pages[entry.page]
-            if page.shape != (height_px, width_px) or page.dtype != "uint8":
-                return FrameLossReason.FOREIGN
-            image = page.asarray()
+            image = tiff.pages[entry.page].asarray()
         else:  # without parsing the pages, which takes nearly as long as verifying their pixels
             image = pixels[entry.page * n_pixels :][:n_pixels].reshape(height_px, width_px)
     except TIFF_DAMAGE:
-        return FrameLossReason.DAMAGED
-    return image if image.shape == (height_px, width_px) else FrameLossReason.DAMAGED
+        return None
+    return image if image.shape == (height_px, width_px) else None
 
 
 def _header(path: Path, tiff: tifffile.TiffFile) -> BundleHeader:

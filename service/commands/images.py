@@ -123,9 +123,9 @@ def export_command(
                 left_out.append(str(err))
                 continue
             left_out += [
-                f"{header.path}: camera {camera} is {reason}"
+                f"{header.path}: camera {camera} is damaged"
                 for camera, reason in bundle.missing.items()
-                if reason in (FrameLossReason.DAMAGED, FrameLossReason.FOREIGN)
+                if reason == FrameLossReason.DAMAGED
             ]
             (folder / bundle.name).mkdir()
             for camera, frame in bundle.frames.items():

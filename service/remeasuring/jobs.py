@@ -31,10 +31,7 @@ from service.store.writes import add_revision
 
 log = logging.getLogger(__name__)
 
-UNUSABLE = {
-    str(DroppedView(DropCause.NO_FRAME, reason)): reason
-    for reason in (FrameLossReason.DAMAGED, FrameLossReason.FOREIGN)
-}
+DAMAGED = str(DroppedView(DropCause.NO_FRAME, FrameLossReason.DAMAGED))
 """Why a view is missing whose page cannot be read."""
 NOTED = (
     "seq", "revision", "outcome", "reason", "quality", "volume_mm3", "sieve_size_mm", "calibration_id",
@@ -158,15 +155,11 @@ async def revise(store: Store, before: Record, record: Result, folder: Path, who
 
     Raises `RemeasureError` if frames of it were damaged since, or its files were just removed.
     """
-    unusable = [
-        f"{camera} ({UNUSABLE[why]})"
-        for camera, why in record.dropped_views.items()
-        if why in UNUSABLE and camera in before["views"]
+    damaged = [
+        camera for camera, why in record.dropped_views.items() if why == DAMAGED and camera in before["views"]
     ]
-    if unusable:  # a result must not become worse for that
-        raise RemeasureError(
-            Hindrance.FAILED, f"{before['id']}: frames cannot be used any more: {', '.join(unusable)}"
-        )
+    if damaged:  # a result must not become worse for that
+        raise RemeasureError(Hindrance.FAILED, f"{before['id']}: frames of {', '.join(damaged)} are damaged")
     files = {name: path for name in RESULT_FILES if (path := folder / name).is_file()}
     seq = await store.write(_revise, store.particles_dir, before, record, files, who)
     if seq is not None:

@@ -148,7 +148,7 @@ def test_pages_that_another_program_wrote_are_not_called_damaged(
         for number, page in enumerate(pages):
             said = description if number == 0 else None
             tiff_out.write(page, description=said, metadata=None, compression=compression)
-    with pytest.raises(RecordingError, match="every page is not an 8-bit grey image of the recorded size"):
+    with pytest.raises(RecordingError, match="its pages are not 8-bit grey images of the recorded size"):
         read_bundle(path, CAMERAS, mapped=mapped)
 
 
