@@ -21,7 +21,7 @@ from pipeline.frames import Image
 SUFFIXES = (".png", ".tif", ".tiff")
 """Ends of the names of images, in lower case."""
 MAX_IMAGE_BYTES = 64 << 20
-"""Largest file that is decoded; an image of a camera has a tenth."""
+"""Largest file that is decoded; 1280 x 1024 pixels of 16 bits have a twenty-fifth."""
 GREY_BITS = 8
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")

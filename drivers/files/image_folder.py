@@ -1,4 +1,4 @@
-"""Folders of images as people keep them: a folder for each exposure, and in it an image for each camera."""
+"""Folders of images: a folder for each exposure, and in it an image for each camera."""
 
 import re
 from collections.abc import Collection, Sequence
@@ -24,7 +24,7 @@ def exposure_folders(source: Path) -> tuple[list[Path], list[Path]]:
     """
     if not source.is_dir():
         raise RecordingError(source, "is not a folder")
-    found = _of_people(source)
+    found = _visible(source)
     folders = [path for path in found if path.is_dir()]
     if not folders:
         raise RecordingError(source, "has no folder of images")
@@ -48,7 +48,7 @@ def camera_images(
     """
     images: dict[CameraId, Path] = {}
     others = []
-    for path in _of_people(folder):
+    for path in _visible(folder):
         if path.suffix.lower() not in SUFFIXES or path.is_dir():
             others.append(path)
             continue
@@ -63,7 +63,8 @@ def camera_images(
     return images, others
 
 
-def _of_people(folder: Path) -> Sequence[Path]:
+def _visible(folder: Path) -> Sequence[Path]:
+    """Return the files and folders in a folder, but for those of `SYSTEM_NAMES`, in the order of their names."""
     return sorted(
         (
             path

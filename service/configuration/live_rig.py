@@ -74,9 +74,7 @@ class LiveRigSettings(ABC):
     fall_height_mm: float = FALL_HEIGHT_MM  # from the beam of the gate to the centre of the rig
     start_above_gate_mm: float = 0.0  # of the stone's lowest point over the beam when it starts from rest
     delay_correction_ms: float = 0.0  # measured; negative for the latency of gate and cameras
-    delay_outside_ms: float = (
-        0.0  # part of the delay that gate or timer make, and not the cameras' trigger delay
-    )
+    delay_outside_ms: float = 0.0  # part of the delay that gate or timer make, not the cameras
     exposure_us: float = 20.0
     flash_us: float | None = None  # of one flash, if shorter than the exposure; only checked, set nowhere
     trigger_skew_us: float = 1.0  # between cameras; of a wired trigger next to none

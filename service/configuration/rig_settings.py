@@ -98,9 +98,7 @@ class AravisRigSettings(LiveRigSettings):
 
     backend: Literal["aravis"]
     cameras: tuple[CameraPlace, ...]
-    trigger: str = (
-        "Line1"  # source as the cameras name it; "software" or "action": this machine triggers them
-    )
+    trigger: str = "Line1"  # as the cameras name it; "software" or "action": this machine triggers them
     trigger_activation: Literal["RisingEdge", "FallingEdge"] = "RisingEdge"
     action: ActionKeys = field(default_factory=ActionKeys)
     strobe_line: str | None = None  # output of the cameras that fires the light panels

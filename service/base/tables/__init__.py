@@ -1,1 +1,1 @@
-"""Tables that people send, whatever wrote them: text of any encoding and mark, or a workbook; one reader for all."""
+"""Tables of any spreadsheet: text of any encoding and delimiter, or a workbook; one reader for all."""

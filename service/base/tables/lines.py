@@ -1,4 +1,4 @@
-"""Tables as text: bytes of any encoding decoded, lines parted into cells by the mark that the table shows."""
+"""Tables as text: bytes of any encoding decoded, lines split into cells at the delimiter that the table shows."""
 
 import codecs
 import csv
@@ -13,8 +13,6 @@ MOST_LINES = 10_000
 MOST_COLUMNS = 20
 SEPARATOR = re.compile(r'"?sep=([^\w\s"]|\t)"?[;,\t]*', re.IGNORECASE)
 """First line of a file that a spreadsheet is to open."""
-
-
 QUOTED = re.compile(r'"[^"]*("|$)')
 
 
