@@ -26,7 +26,8 @@ LATEST_LOSS_NS = 500_000_000
 """A loss is reported at most so long after its leader; an older time stamp is a leftover of the buffer."""
 OLDEST_NS = 1_000_000_000
 """Greatest age of a frame; it is exceeded only if the wall clock was set after its leader arrived."""
-
+CHUNKS = "its images come as chunk data (payload type 4), which is not read: switch chunk mode off (ChunkModeActive)"
+"""Reason of a lost frame in which Aravis finds no image, as in chunk mode of GigE Vision 1."""
 
 Allocate = Callable[[int], NDArray[np.uint8] | None]
 """Returns an array (N,) of so many bytes or more to receive into, None when there is none at present."""
@@ -45,10 +46,6 @@ def new_buffer(aravis: Any, n_bytes: int, memory: Memory, allocate: Allocate) ->
     buffer = aravis.Buffer.new(n_bytes, pixels.ctypes.data)
     memory[hash(buffer)] = pixels
     return buffer
-
-
-CHUNKS = "its images come as chunks of data, of an older kind: switch chunk mode off (ChunkModeActive)"
-"""Reason of a lost frame whose payload Aravis takes for chunks without an image (payload type 4)."""
 
 
 class FrameReader:

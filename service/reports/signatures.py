@@ -40,7 +40,6 @@ MAX_REPORT_BYTES = 10_000_000
 MARK = b"\n%stonefall-signature "
 LINE = re.compile(rb"(\{[^\r\n]*\}) ([0-9a-f]{128})\n")
 PDF = b"%PDF-"
-UPDATE = "update stonefall to read what was signed"
 
 
 class SignatureState(StrEnum):
@@ -210,9 +209,9 @@ def checked(content: bytes, known: Collection[str]) -> ReportCheck:
         statement = TypeAdapter(Statement).validate_json(found[1])
         detail = _described(statement, fingerprint, is_known=is_known)
     except ValidationError:  # whole, as its signature shows
-        statement, detail = (
-            None,
-            f"it is unchanged since key {fingerprint} signed it, by a later version: {UPDATE}",
+        statement = None
+        detail = (
+            f"it is unchanged since key {fingerprint} signed it; a later version wrote it: update stonefall"
         )
     return ReportCheck(
         state=SignatureState.GENUINE if is_known else SignatureState.UNKNOWN_KEY,
