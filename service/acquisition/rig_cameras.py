@@ -25,8 +25,9 @@ from drivers.interfaces import (
 from pipeline.frames import CameraId, Frame, FrameBundle, Image, MissingReason
 from service.acquisition.device_keeper import DeviceKeeper, DeviceLoss
 from service.acquisition.exposure_skew import ExposureSkew
+from service.base.camera_status import CameraStatus
 from service.base.messages import Code, CodedText, about, joined, message
-from service.base.status import CameraStatus, Checks, DeviceState, HealthCheck, health_check
+from service.base.status import Checks, DeviceState, HealthCheck, health_check
 from service.bundling.frame_account import BundlingCounters, CameraCounters
 
 log = logging.getLogger(__name__)

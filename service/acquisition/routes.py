@@ -17,8 +17,9 @@ from service.acquisition.pictures import (
     snapshot_png,
     subsampled,
 )
+from service.base.camera_status import CameraStatus
 from service.base.schema import RequestBody
-from service.base.status import AcquisitionStatus, AcquisitionTarget, CameraStatus
+from service.base.status import AcquisitionStatus, AcquisitionTarget
 from service.web.auth import OPERABLE, READABLE, Who
 from service.web.context import ApiContext, Context
 from service.web.parameters import ANEW, CameraName

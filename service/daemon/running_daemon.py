@@ -7,7 +7,8 @@ from functools import partial
 from typing import TypeVar, cast
 
 from service.acquisition.acquisition import Acquisition
-from service.base.status import AcquisitionStatus, CameraStatus, ConfigurationState, Health
+from service.base.camera_status import CameraStatus
+from service.base.status import AcquisitionStatus, ConfigurationState, Health
 from service.calibration.calibrations import Calibrations
 from service.configuration.settings import Settings
 from service.daemon.diagnostics.archive import Inputs

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from service.base.status import AcquisitionStatus, CalibrationFacts, CameraStatus, Health
+from service.base.camera_status import CameraStatus
+from service.base.status import AcquisitionStatus, CalibrationFacts, Health
 from service.health.refinement_watch import RefinementTrend
 from service.store.checks import RetentionFacts
 

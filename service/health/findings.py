@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from pipeline.frames import CameraId
+from service.base.camera_status import CameraStatus
 from service.base.messages import CodedText, about, joined
-from service.base.status import AcquisitionStatus, CalibrationFacts, CameraStatus, DeviceState, Ne107
+from service.base.status import AcquisitionStatus, CalibrationFacts, DeviceState, Ne107
 
 
 class Severity(IntEnum):

@@ -16,8 +16,9 @@ from typing import Any
 
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
+from service.base.camera_status import CameraOptics
 from service.base.messages import Code, CodedText, message
-from service.base.status import CameraOptics, Checks, trouble_check
+from service.base.status import Checks, trouble_check
 from service.health.dark_panels import DarkPlace, ViewLight, dark_places
 from service.health.findings import CameraFinding, Severity, described
 from service.results.fields import Result

@@ -6,7 +6,7 @@ tasks query the devices, and this returns what they found last.
 
 from typing import Protocol, TypeVar
 
-from service.base.status import CameraStatus
+from service.base.camera_status import CameraStatus
 
 T = TypeVar("T")
 

@@ -23,11 +23,11 @@ from drivers.files.silhouette_file import write_silhouettes
 from drivers.interfaces import CameraVitals
 from pipeline.frames import CameraId, Frame, FrameBundle, Image
 from service.acquisition.acquisition import Acquisition
+from service.base.camera_status import CameraStatus
 from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,
     AcquisitionTarget,
-    CameraStatus,
     CheckStatus,
     ConfigurationState,
     Health,

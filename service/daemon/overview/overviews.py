@@ -17,9 +17,9 @@ import numpy as np
 from drivers.files.times import utc_now
 from pipeline.frames import CameraId
 from pipeline.rig.cameras import RigCalibration
+from service.base.camera_status import CameraOptics
 from service.base.errors import ServiceError, StoreError
 from service.base.messages import findings_of
-from service.base.status import CameraOptics
 from service.calibration.calibrations import Calibrations
 from service.daemon.overview.overview_documents import (
     PASSING,

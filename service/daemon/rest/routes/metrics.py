@@ -20,16 +20,8 @@ from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
 from pipeline.views.quality import Quality
-from service.base.status import (
-    AcquisitionState,
-    AcquisitionStatus,
-    CameraOptics,
-    CameraStatus,
-    CheckStatus,
-    DeviceState,
-    Health,
-    Ne107,
-)
+from service.base.camera_status import CameraOptics, CameraStatus
+from service.base.status import AcquisitionState, AcquisitionStatus, CheckStatus, DeviceState, Health, Ne107
 from service.calibration.calibrations import Calibrations
 from service.calibration.verifications import Verification
 from service.daemon.overview.result_delays import ResultDelays

@@ -13,11 +13,11 @@ from pipeline.frames import CameraId
 from pipeline.rig.design import nominal_rig
 from pipeline.views.quality import ViewsParameters
 from service.acquisition.rig_cameras import camera_checks, device_check
+from service.base.camera_status import CameraStatus
 from service.base.status import (
     AcquisitionState,
     AcquisitionStatus,
     CalibrationFacts,
-    CameraStatus,
     Checks,
     CheckStatus,
     Health,

@@ -3,7 +3,8 @@
 import pytest
 
 from pipeline.frames import CameraId
-from service.base.status import AcquisitionState, AcquisitionStatus, CalibrationFacts, CameraStatus, Ne107
+from service.base.camera_status import CameraStatus
+from service.base.status import AcquisitionState, AcquisitionStatus, CalibrationFacts, Ne107
 from service.health.findings import CameraFinding, Severity, camera_ne107, described, gate_ne107, rig_ne107
 
 C01 = CameraId("c01")
