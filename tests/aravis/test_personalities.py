@@ -155,7 +155,7 @@ def test_what_others_change_later_is_seen(opened: Callable[..., Opened]) -> None
         camera.examine()
 
 
-def test_chunks_without_an_image_that_the_configuration_wants_are_named(opened: Callable[..., Opened]) -> None:
+def test_chunks_without_an_image_are_named(opened: Callable[..., Opened]) -> None:
     """aravis 753: Aravis finds no image in payload type 4."""
     settings = settings_for(design())
     features = (*settings.features, ("ChunkModeActive", True))
