@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.errors import RecordingError
+from drivers.files.bounded import read_bounded
 from drivers.files.ply_parsing import ply_header, read_binary_ply
 
 if TYPE_CHECKING:
@@ -28,6 +29,10 @@ MESH_DAMAGE = (
     struct.error,
 )
 """Errors of trimesh's parsers on damaged files, beside `HeaderError` of STL."""
+MAX_MESH_BYTES = 64 << 20
+"""Largest file that is parsed, which takes some twenty times as much memory: 1.3 million triangles of a binary STL."""
+VERTEX_0 = re.compile(rb"^[ \t]*f[ \t](?:[^\n]*[ \t])?0+(?=[/\s]|\Z)", re.MULTILINE)
+"""Face of an OBJ that has the vertex 0, which there is none of: trimesh takes it for the last."""
 STL_HEADER_BYTES, STL_TRIANGLE_BYTES = 84, 50
 
 
@@ -43,9 +48,11 @@ def parse_mesh(path: Path) -> "trimesh.Trimesh":
 
     file_type = path.suffix[1:].lower()
     try:
-        content = path.read_bytes()
+        content = read_bounded(path, MAX_MESH_BYTES)
     except OSError as err:
         raise RecordingError(path, f"cannot be read: {err.strerror}") from err
+    if file_type == "obj" and VERTEX_0.search(content):
+        raise RecordingError(path, "has faces with the vertex 0: vertices of an OBJ count from 1")
     readers: list[Callable[[], trimesh.Trimesh]] = [
         lambda: trimesh.load_mesh(BytesIO(_tidied(content, file_type)), file_type, process=False)
     ]

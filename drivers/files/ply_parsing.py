@@ -2,8 +2,10 @@
 
 import re
 import struct
+from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 
 import numpy as np
 
@@ -65,7 +67,7 @@ def read_binary_ply(content: bytes) -> tuple[PointsMM, Faces]:
     form, elements, at = ply_header(content)
     order = ORDERS[form]
     vertices = np.empty((0, 3))
-    triangles: list[Sequence[int]] = []
+    corners = array("q")  # three for each triangle; a list of tuples takes ten times the memory
     for element in elements:
         if any(each.count for each in element.properties):
             for _ in range(element.n_rows):
@@ -77,14 +79,15 @@ def read_binary_ply(content: bytes) -> tuple[PointsMM, Faces]:
                     values = struct.unpack_from(f"{order}{n}{each.code}", content, at)
                     at += struct.calcsize(f"{order}{n}{each.code}")
                     if each.name in CORNERS:
-                        triangles += _strips(values) if element.name == "tristrips" else _fan(values)
+                        parts = _strips(values) if element.name == "tristrips" else _fan(values)
+                        corners.extend(chain.from_iterable(parts))
         else:
             row = np.dtype([(each.name, order + each.code) for each in element.properties])
             rows = np.frombuffer(content, row, element.n_rows, at)
             at += rows.nbytes
             if element.name == "vertex":
                 vertices = np.column_stack([rows[axis] for axis in "xyz"]).astype(np.float64)
-    return vertices, np.array(triangles, np.int64).reshape(-1, 3)
+    return vertices, np.array(corners, np.int64).reshape(-1, 3)
 
 
 def _fan(corners: Sequence[int]) -> Iterator[Sequence[int]]:

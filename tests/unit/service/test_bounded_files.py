@@ -11,6 +11,7 @@ from drivers.errors import RecordingError
 from drivers.files.bounded import read_bounded
 from drivers.files.durable import read_json
 from drivers.files.image_file import read_image
+from drivers.files.mesh_parsing import parse_mesh
 from service.base.errors import SettingsError, StoreError, VolumeModelError
 from service.configuration.settings import load_settings
 from service.configuration.volume_models import read_volume_model
@@ -26,6 +27,7 @@ READERS = [
     (load_settings, SettingsError),
     (read_json, RecordingError),
     (read_image, RecordingError),
+    (parse_mesh, RecordingError),
     (keys_of_file, StoreError),
     (read_volume_model, VolumeModelError),
     (secret_of, ValueError),
@@ -45,6 +47,18 @@ def test_nobody_waits_for_who_writes_to_a_pipe(
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(error, match="pipe: "):
         read(tmp_path / "pipe")
+
+
+def test_what_a_pipe_holds_so_far_is_not_taken_for_all(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    writer = os.open(tmp_path / "pipe", os.O_RDWR)
+    try:
+        for part in (b"", b"id,serial\n"):
+            os.write(writer, part)
+            with pytest.raises(OSError, match="is a pipe"):
+                read_bounded(tmp_path / "pipe", 100)
+    finally:
+        os.close(writer)
 
 
 def test_a_file_of_the_largest_size_is_read_whole(tmp_path: Path) -> None:

@@ -115,6 +115,7 @@ def test_a_strip_turns_every_second_triangle_and_flat_ones_only_link(tmp_path: P
             "has 10 points",
         ),
         ("scan.obj", obj("p 1 2 3\n"), "has 10 points and no faces"),
+        ("from0.obj", obj("".join(f"f {a}/1 {b}/2 {c}/3\n" for a, b, c in TRIANGLES)), "count from 1"),
         ("cut.ply", polygon_ply("<")[:-9], "is damaged, or not PLY"),
         ("far.ply", polygon_ply("<").replace(b"\x09\0\0\0", b"\x63\0\0\0"), "is damaged, or not PLY"),
         ("many.ply", polygon_ply("<").replace(b"face 8", b"face 4000000000", 1), "is damaged, or not PLY"),
