@@ -24,6 +24,8 @@ MAX_IMAGE_BYTES = 64 << 20
 """Largest file that is decoded; 1280 x 1024 pixels of 16 bits have a twenty-fifth."""
 GREY_BITS = 8
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_CHANNELS = {2: 3, 4: 2, 6: 4}
+"""Numbers of a pixel by the type of colour, where it has more than one."""
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 ORIENTATION = 274
 """Tag of TIFF and EXIF: how a program that shows the image turns it; 1: not at all."""
@@ -70,13 +72,14 @@ def write_png(path: Path, image: Image) -> None:
 
 def _read_png(path: Path, content: bytes) -> DecodedImage:
     try:
-        chunks = dict(_png_chunks(content))
+        chunks = {kind: data for kind, data in _png_chunks(content) if kind in (b"IHDR", b"eXIf")}
         header = chunks[b"IHDR"]
-        _require_size(path, struct.unpack(">II", header[:8]))
+        n_channels = PNG_CHANNELS.get(header[9], 1)
+        _require_size(path, struct.unpack(">II", header[:8]), n_channels * max(header[8] // 8, 1))
         pixels = np.asarray(imagecodecs.png_decode(content))
         if b"eXIf" in chunks:
             _require_upright(path, _exif_orientation(chunks[b"eXIf"]))
-    except (imagecodecs.PngError, ValueError, MemoryError, KeyError, struct.error) as err:
+    except (imagecodecs.PngError, ValueError, MemoryError, LookupError, struct.error) as err:
         raise RecordingError(path, f"is not a sound PNG: {err}") from err
     return DecodedImage(_grey(path, pixels), max(header[8], GREY_BITS))  # fewer are decoded to eight
 
@@ -109,7 +112,7 @@ def _read_tiff(path: Path, content: bytes) -> DecodedImage:
             tag = page.tags.get(ORIENTATION)
             orientation = 1 if tag is None else int(tag.value)
             photometric, bits, kind = page.photometric, page.bitspersample, page.sampleformat
-            _require_size(path, page.shape)
+            _require_size(path, page.shape, 0 if page.dtype is None else page.dtype.itemsize)
             axes, pixels = page.axes, page.asarray()
     except TIFF_DAMAGE as err:
         raise RecordingError(path, f"is not a sound TIFF: {err}") from err
@@ -142,9 +145,9 @@ def _grey(path: Path, pixels: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(colours[..., 0])
 
 
-def _require_size(path: Path, shape: Sequence[int]) -> None:
-    """Refuse an image without a pixel, or one whose file is small and says that its pixels are many."""
-    if not 0 < prod(shape) <= 4 * MAX_IMAGE_BYTES:
+def _require_size(path: Path, shape: Sequence[int], pixel_bytes: int) -> None:
+    """Refuse an image without a pixel, or one whose file is small and says that its pixels are many or large."""
+    if not 0 < prod(shape) * max(pixel_bytes, 1) <= 4 * MAX_IMAGE_BYTES:
         raise RecordingError(path, f"has {'x'.join(map(str, shape))} pixels, which no camera has")
 
 

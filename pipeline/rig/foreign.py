@@ -31,6 +31,8 @@ COLMAP_MODELS = {
 """Models of COLMAP that are OpenCV's, and their parameters; others bend rays in another way."""
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 """Coefficients of distortion in the order of OpenCV."""
+LARGEST = 1e9
+"""Greatest number of a lens or an image, in px or without unit."""
 FLIP = np.diag([1.0, -1.0, -1.0])
 """From a camera with y up, looking along -z, to one with y down, looking along z."""
 
@@ -213,6 +215,8 @@ def _number(members: Mapping[str, Any], key: str, where: str) -> float | None:
     value = members.get(key)
     if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
         raise RigError(f"{where}.{key}", f"must be a number, not {value!r}")
+    if value is not None and not abs(value) <= LARGEST:
+        raise RigError(f"{where}.{key}", f"must be a number up to {LARGEST:g}")
     return value
 
 

@@ -8,6 +8,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from drivers.files.bounded import read_bounded
+from drivers.files.durable import MAX_JSON_BYTES
 from pipeline.measuring.volume_correction import fit_volume_model
 from service.base.errors import UsageError, VolumeModelError
 from service.base.tables.files import NamedColumn, read_rows
@@ -75,7 +77,11 @@ def command(
 def _measured(path: Path) -> dict[str, tuple[float, float]]:
     """Return the volumes of hull and estimate, mm³, of the measured stones by bundle."""
     volumes_mm3: dict[str, tuple[float, float]] = {}
-    for number, line in enumerate(text_of(path.read_bytes()).splitlines(), start=1):
+    try:
+        content = read_bounded(path, MAX_JSON_BYTES)
+    except OSError as err:
+        raise VolumeModelError(f"{path}: cannot be read: {err.strerror}") from err
+    for number, line in enumerate(text_of(content).splitlines(), start=1):
         where = f"{path}: line {number}"
         try:
             record = json.loads(line)

@@ -13,7 +13,8 @@ from rich.console import Console
 from rich.progress import track
 
 from drivers.errors import RecordingError
-from drivers.files.durable import new_folder
+from drivers.files.bounded import read_bounded
+from drivers.files.durable import MAX_JSON_BYTES, new_folder
 from drivers.files.image_file import GREY_BITS, read_image, write_png
 from drivers.files.image_folder import camera_images, exposure_folders
 from drivers.files.recording import (
@@ -30,6 +31,7 @@ from pipeline.rig.camera_arrays import camera_arrays
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.placing import Placement
 from service.base.errors import UsageError
+from service.base.tables.lines import text_of
 from service.commands.imported_images import ImageReader
 from service.commands.options import with_options
 
@@ -184,7 +186,8 @@ def _bundle_folders(
     folders, files = exposure_folders(source)
     if backgrounds is None:
         listed = source / BACKGROUNDS
-        backgrounds = listed.read_text(encoding="utf-8").splitlines() if listed.is_file() else []
+        lines = text_of(read_bounded(listed, MAX_JSON_BYTES)).splitlines() if listed.is_file() else []
+        backgrounds = [name for line in lines if (name := line.strip())]
     if unknown := sorted(set(backgrounds) - {folder.name for folder in folders}):
         raise UsageError(f"background {unknown[0]}: {source} has no such folder")
     kinds = [

@@ -37,6 +37,8 @@ def table_text(path: Path) -> str:
     """Return the only table of a file as text; raise `TableError`, which names the file, if there are several."""
     try:
         tables = tables_of(read_bounded(path, MAX_BYTES))
+    except OSError as err:
+        raise TableError(f"{path}: cannot be read: {err.strerror}") from err
     except TableError as err:
         raise TableError(f"{path}: {err}") from err
     if len(tables) > 1:

@@ -14,6 +14,8 @@ MOST_COLUMNS = 20
 SEPARATOR = re.compile(r'"?sep=([^\w\s"]|\t)"?[;,\t]*', re.IGNORECASE)
 """First line of a file that a spreadsheet is to open."""
 QUOTED = re.compile(r'"[^"]*("|$)')
+NOTE = re.compile(r"([²³¹\u2070-\u2089\u2460-\u249b\u24ea-\u24ff\u2776-\u2793]+)")
+"""Small and circled digits. They stay as they are: 12.5 with the mark of a note is not 12.51."""
 
 
 class TableError(InvalidRequestError):
@@ -55,7 +57,9 @@ def lines_of(text: str, table: str = "table", *, may_be_short: bool = False) -> 
 
     Raises `TableError` for a line that cannot be parted so, and for more than `MOST_LINES` or `MOST_COLUMNS`.
     """
-    lines = unicodedata.normalize("NFKC", text.removeprefix("\ufeff")).splitlines()
+    parts = NOTE.split(text.removeprefix("\ufeff"))
+    parts[::2] = (unicodedata.normalize("NFKC", part) for part in parts[::2])
+    lines = "".join(parts).splitlines()
     if len(lines) > MOST_LINES:
         raise TableError(f"{table}: more than {MOST_LINES} lines: send it in parts")
     named = SEPARATOR.fullmatch(lines[0].strip(" ")) if lines else None

@@ -13,10 +13,16 @@ from drivers.files.durable import read_json
 from drivers.files.image_file import read_image
 from drivers.files.mesh_parsing import parse_mesh
 from service.base.errors import SettingsError, StoreError, VolumeModelError
+from service.base.tables.files import read_rows
+from service.base.tables.lines import TableError
 from service.configuration.settings import load_settings
 from service.configuration.volume_models import read_volume_model
 from service.delivery.settings import WebhookEndpoint
 from service.store.keys import keys_of_file
+
+
+def rows_of(path: Path) -> object:
+    return read_rows(path, {}, ())
 
 
 def secret_of(path: Path) -> list[bytes]:
@@ -31,6 +37,7 @@ READERS = [
     (keys_of_file, StoreError),
     (read_volume_model, VolumeModelError),
     (secret_of, ValueError),
+    (rows_of, TableError),
 ]
 
 

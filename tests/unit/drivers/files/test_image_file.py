@@ -137,6 +137,12 @@ def test_every_form_of_grey_is_read_whatever_its_name(
             ),
             "has 60000x60000 pixels, which no camera has",
         ),
+        (
+            lambda path: path.write_bytes(
+                PNG_SIGNATURE + chunk(b"IHDR", struct.pack(">IIBBBBB", 16000, 16000, 16, 6, 0, 0, 0))
+            ),  # 2 GB
+            "has 16000x16000 pixels, which no camera has",
+        ),
     ],
 )
 def test_other_images_are_refused_with_the_reason(

@@ -202,6 +202,7 @@ def middlebury(rig: RigCalibration) -> str:
     )
 
 
+POSED = f'{{"w": W, "frames": [{{"file_path": "a", "transform_matrix": {np.eye(4).tolist()}}}]}}'
 COLMAP_FILES = {
     "cameras.txt": "1 PINHOLE 1280 1024 6250 6250 640 512\n",
     "images.txt": "1 1 0 0 0 0 0 300 1 a.png\n\n2 0 1 0 0 0 0 300 1 b.png\n\n",
@@ -227,6 +228,13 @@ COLMAP_FILES = {
                 )
             },
             r"frames\[0\].fl_x: must be a number, not '9'",
+        ),
+        *(
+            (
+                {"a.json": POSED.replace("W", number)},
+                r"frames\[0\].w: must be a number up to 1e\+09",
+            )
+            for number in ("NaN", "1e999", "-1e999", "1" + 400 * "0")
         ),
         ({"a.json": "{"}, "is not JSON"),
         ({"m/c01.txt": ""}, "has neither cameras.txt of COLMAP"),

@@ -111,6 +111,12 @@ def test_wrong_lines_of_the_scale_are_named(tmp_path: Path, line: str, named: st
     assert not (tmp_path / "out.json").exists()
 
 
+def test_results_without_an_end_are_refused(tmp_path: Path) -> None:
+    _, weighed = write_stones(tmp_path, 1.0, 0.0)
+    with pytest.raises(VolumeModelError, match="/dev/zero: cannot be read: has more than"):
+        fit(Path("/dev/zero"), weighed, tmp_path / "out.json")
+
+
 @pytest.mark.parametrize(
     ("text", "named"),
     [

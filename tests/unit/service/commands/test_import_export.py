@@ -132,6 +132,15 @@ def test_wrong_folders_are_named(source: Path, tmp_path: Path) -> None:
         export_command(write_recording(out, [make_bundle(0)]), source)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+def test_backgrounds_may_be_listed_by_any_editor(source: Path, tmp_path: Path, encoding: str) -> None:
+    (source / "empty").rename(source / "größte")
+    (source / "backgrounds.txt").write_bytes("größte \r\n\r\n".encode(encoding))
+    import_command(source, tmp_path / "rec", tmp_path / "rig.json", None)
+    kinds = [header.kind for header in playback_order(open_recording(tmp_path / "rec"))]
+    assert kinds.count(BundleKind.BACKGROUND) == 1
+
+
 def test_what_systems_leave_is_skipped_and_other_files_are_named(
     source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

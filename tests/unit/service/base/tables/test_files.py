@@ -63,6 +63,7 @@ def test_a_workbook_is_read_as_its_only_sheet_that_has_cells(tmp_path: Path) -> 
             "stone;mass g\n7;1,234\n8;5,678",
             "line 2: column 2: '1,234' may be 1234 or 1.234: write all digits",
         ),
+        ("stone;mass g\n7;1.5\u00b9\n8;2", "line 2: column 2: '1.5\u00b9' is not a number"),
         ("stone;mass g\n7;1.5\n8;viel", "line 3: column 2: 'viel' is not a number"),
         ("stone;mass mm\n7;1.5 g", "line 2: column 2: '1.5 g' is in g, but the column in mm"),
     ],
@@ -84,3 +85,5 @@ def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TableError, match=r"old\.xls: .*is neither \.xlsx nor text"):
         table_text(file)
     assert tables_of(b" \n") == {}
+    with pytest.raises(TableError, match=f"{tmp_path}: cannot be read: Is a directory"):
+        table_text(tmp_path)
