@@ -116,10 +116,10 @@ def _read_opencv(path: Path, size_px: Size) -> Entry:
             if values is not None
         }
         sides = [storage.getNode(key) for key in ("image_width", "image_height")]
-    except (cv2.error, SystemError) as err:
+        if not any(side.empty() for side in sides):
+            size_px = int(sides[0].real()), int(sides[1].real())
+    except (cv2.error, SystemError, ValueError, OverflowError) as err:
         raise RecordingError(path, "is no file of OpenCV: write it with cv2.FileStorage") from err
-    if not any(side.empty() for side in sides):
-        size_px = int(sides[0].real()), int(sides[1].real())
     return from_opencv(path.stem, matrices, size_px)
 
 

@@ -1,6 +1,7 @@
 """`stonefall init` and `check-config`: the configuration of a rig, asked for and written; printed, and its faults."""
 
 import json
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ from service.configuration.settings import Settings, load_settings, problems, sh
 
 TEMPLATE = Path(__file__).with_name("stonefall.toml.jinja")
 GATES = Path("/dev/serial/by-id")
+ROUNDED = re.compile(r"[0-9][.,][0-9]+E\+[0-9]+", re.IGNORECASE)
+"""Serial number of twelve digits or more as a spreadsheet saves it."""
 COLUMNS = {
     "id": NamedColumn(("id", "place", "camera", "platz", "kamera")),
     "serial": NamedColumn(("serial", "serial_number", "serial_no", "seriennummer")),
@@ -191,6 +194,10 @@ def _from_table(path: Path) -> dict[str, CameraPlace]:
         place, serial, address, user_name = (given.get(name) for name in COLUMNS)
         if place is None or place in named or not (serial or address or user_name):
             raise UsageError(f"{row.place}: needs an id of its own, and a serial, address or user_name")
+        if serial is not None and ROUNDED.fullmatch(serial):
+            raise UsageError(
+                f"{row.place}: serial {serial} was rounded by a spreadsheet: make its column text"
+            )
         named[place] = CameraPlace(id=CameraId(place), serial=serial, address=address, user_name=user_name)
     return named
 

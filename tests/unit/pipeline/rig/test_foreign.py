@@ -239,6 +239,13 @@ COLMAP_FILES = {
         ({"a.json": "{"}, "is not JSON"),
         ({"m/c01.txt": ""}, "has neither cameras.txt of COLMAP"),
         ({"m/c01.yml": "%YAML:1.0\n---\nK: ["}, "c01.yml: is no file of OpenCV"),
+        *(
+            (
+                {"m/c01.yml": f"%YAML:1.0\n---\nimage_width: {number}\nimage_height: 9\n"},
+                "c01.yml: is no file",
+            )
+            for number in (".Inf", ".Nan")
+        ),
         ({"m/c01.yml": "%YAML:1.0\n---\nK: [1, 2]\nR: [0, 0, 0]\n"}, r"c01.K: must have 9 numbers, not 2"),
         ({"m/c01.yml": "%YAML:1.0\n---\nR: [0, 0, 0]\n"}, "c01.K: is missing"),
         ({f"m/{name}": text.replace("PINHOLE", "FOV") for name, text in COLMAP_FILES.items()}, "not 'FOV'"),

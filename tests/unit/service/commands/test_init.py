@@ -153,6 +153,14 @@ def test_any_spreadsheet_s_file_of_cameras_is_read(
     assert {(camera.user_name, camera.address) for camera in settings.rig.cameras} == {(None, None)}
 
 
+@pytest.mark.parametrize("serial", ["1,23457E+11", "4.00E+12"])
+def test_a_serial_that_a_spreadsheet_rounded_is_no_serial(tmp_path: Path, serial: str) -> None:
+    (tmp_path / "cameras.csv").write_text(f"id;serial\nc01;{serial}\n")
+    done = started(tmp_path, "--cameras", str(tmp_path / "cameras.csv"), "--gate", "/dev/gate")
+    assert f"cameras.csv: line 2: serial {serial} was rounded by a spreadsheet" in str(done.exception)
+    assert not (tmp_path / "stonefall.toml").exists()
+
+
 @pytest.mark.parametrize(
     ("option", "problem"),
     [("c01", "must be PLACE=SERIAL"), ("c99=1", "c99: no place of the rig, which has c01")],
