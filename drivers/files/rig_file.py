@@ -16,6 +16,9 @@ from pipeline.rig.foreign import Size, from_blender, from_colmap, from_matrices,
 from pipeline.rig.placing import Entry, Placement, placed_rig
 
 OPENCV_SUFFIXES = (".yml", ".yaml", ".xml")
+NESTING = ("[", "{", "<", "- ")
+MOST_CHARACTERS, MOST_NESTING = 1_000_000, 2000
+"""Bounds of a file of OpenCV, whose parsers end the process where elements are nested too deeply."""
 OPENCV_NAMES = {
     "K": ("camera_matrix", "cameraMatrix", "K"),
     "distortion": ("distortion_coefficients", "distCoeffs", "dist_coeffs", "D"),
@@ -107,6 +110,10 @@ def _read_text(path: Path) -> str:
 
 def _read_opencv(path: Path, size_px: Size) -> Entry:
     text = _read_text(path)
+    if len(text) > MOST_CHARACTERS or sum(map(text.count, NESTING)) > MOST_NESTING:
+        raise RecordingError(
+            path, "is larger than the file of a camera: leave its K, R, t and distortion in it"
+        )
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         matrices = {

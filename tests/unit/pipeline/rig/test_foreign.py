@@ -240,6 +240,15 @@ COLMAP_FILES = {
         ({"m/c01.txt": ""}, "has neither cameras.txt of COLMAP"),
         ({"m/c01.yml": "%YAML:1.0\n---\nK: ["}, "c01.yml: is no file of OpenCV"),
         *(
+            ({f"m/c01.{suffix}": start + 100_000 * nested}, f"c01.{suffix}: is larger than the file of a")
+            for suffix, start, nested in (
+                ("yml", "%YAML:1.0\n---\nK: ", "["),
+                ("yml", "%YAML:1.0\n---\nK:\n   ", "- "),
+                ("yml", '{"K": ', '{"K":'),
+                ("xml", '<?xml version="1.0"?><opencv_storage>', "<a>"),
+            )
+        ),
+        *(
             (
                 {"m/c01.yml": f"%YAML:1.0\n---\nimage_width: {number}\nimage_height: 9\n"},
                 "c01.yml: is no file",
