@@ -37,6 +37,7 @@ def replacing(path: Path, mode: int = 0o666) -> Iterator[Path]:
     Two writers of one path at the same time are not provided for: the temporary path is always the same. For a folder
     that others can write to there is `write_file`.
     """
+    _require_replaceable(path)
     temporary = unfinished(path)
     temporary.unlink(missing_ok=True)  # what a killed process left, or a link
     try:
@@ -57,6 +58,7 @@ def unfinished(path: Path) -> Path:
 
 def write_file(path: Path, content: bytes) -> None:
     """Write a file durably into a folder that others may write to; what they do there harms no other file."""
+    _require_replaceable(path)
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.tmp")
     descriptor = os.open(temporary, CREATING, 0o666)
     try:
@@ -69,6 +71,12 @@ def write_file(path: Path, content: bytes) -> None:
         temporary.unlink(missing_ok=True)
         raise
     sync(path.parent)
+
+
+def _require_replaceable(path: Path) -> None:
+    """Refuse a device: for root, a file would take the place of /dev/null."""
+    if path.is_char_device() or path.is_block_device():
+        raise OSError(errno.EEXIST, "is a device, which no file may replace", str(path))
 
 
 def remove_unfinished(folder: Path) -> None:

@@ -140,3 +140,13 @@ def test_a_document_larger_than_any_of_ours_is_refused(
     path.write_text('"' + 99 * "a" + '"')
     with pytest.raises(RecordingError, match="more than 100 bytes"):
         read_json(path)
+
+
+def test_no_file_takes_the_place_of_a_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "null").write_bytes(b"kept")
+    monkeypatch.setattr(Path, "is_char_device", lambda path: path.name == "null")
+    with pytest.raises(OSError, match="is a device"):
+        write_file(tmp_path / "null", b"new")
+    with pytest.raises(OSError, match="is a device"), replacing(tmp_path / "null"):
+        pass
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"kept"]
