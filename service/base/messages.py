@@ -185,6 +185,7 @@ class Code(StrEnum):
     DECIMAL_COMMA = "decimal_comma"
     RETAINED_BY_APERTURE = "retained_by_aperture"
     SIEVING_CONTRADICTS = "sieving_contradicts"
+    SIEVING_TOP_HEAVY = "sieving_top_heavy"
 
 
 @served

@@ -22,9 +22,14 @@ LEAST_STONES = 50
 MOST_POINTS = 15.0
 """Difference of passing in percentage points up to which it never does: methods and portions differ."""
 
+MOST_ON_TOP_PERCENT = 50.0
+"""Share of the mass on the coarsest sieve from which columns or units are more likely wrong than the stone coarse."""
+LEAST_SIEVES = 3
+"""Sieves from which on a sieving is of the whole curve: with fewer only what is too fine may be asked for."""
+
 
 class ImplausibleSievingError(ProblemError):
-    """A sieving contradicts the instrument's curve of its lot, and no reason is given; names the sieves."""
+    """A sieving is odd, or contradicts the instrument's curve, and no reason is given; names the sieves."""
 
     kinds = (
         ProblemKind(
@@ -89,7 +94,12 @@ def sieving_reading(
         for sieve_mm, percent in passing.items()
     )
     may_judge = stones.n_measured >= LEAST_STONES
-    odd = joined([_contradiction(step) for step in steps if may_judge and _contradicts(step)])
+    odd = joined(
+        [
+            *(_kept_on_top(step) for step in steps[LEAST_SIEVES - 1 :][-1:] if _is_top_heavy(step)),
+            *(_contradiction(step) for step in steps if may_judge and _contradicts(step)),
+        ]
+    )
     return SievingReading(
         lot=lot,
         understood=understood,
@@ -174,6 +184,14 @@ def require_plausible(reading: SievingReading, reason: str | None) -> None:
         raise ImplausibleSievingError(
             f"{reading.implausible}: check the table with dry_run, or give the reason why it is right"
         )
+
+
+def _is_top_heavy(step: SievingStep) -> bool:
+    return step.passing_percent < 100 - MOST_ON_TOP_PERCENT
+
+
+def _kept_on_top(step: SievingStep) -> CodedText:
+    return message(Code.SIEVING_TOP_HEAVY, sieve_mm=step.sieve_mm, percent=100 - step.passing_percent)
 
 
 def _contradicts(step: SievingStep) -> bool:

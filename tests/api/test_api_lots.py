@@ -538,6 +538,21 @@ async def test_a_sieving_is_read_back_beside_the_instrument_before_it_is_stored(
 
 
 @pytest.mark.usefixtures("product")
+async def test_a_sieving_most_of_which_lies_on_its_coarsest_sieve_needs_a_reason(
+    client: httpx.AsyncClient, store: Store, session: int
+) -> None:
+    """Also of a lot with too few stones to contradict it: such a table has another order or unit."""
+    await lot_of_uniform_stones(client, store, session, 3)
+    asked = {"table": "Sieve mm;g\n16;930\n8;40\n4;30"}
+    refused = await client.post("/lots/L1/sieving", json=asked)
+    assert_problem(refused, 409, "implausible-sieving")
+    assert "the coarsest sieve, 16 mm, keeps 93 % of the mass" in refused.json()["detail"]
+    assert (
+        await client.post("/lots/L1/sieving", json={**asked, "reason": "oversize only"})
+    ).status_code == 201
+
+
+@pytest.mark.usefixtures("product")
 async def test_a_sieving_that_contradicts_the_instrument_needs_a_reason(
     client: httpx.AsyncClient, store: Store, session: int
 ) -> None:
