@@ -302,6 +302,24 @@ def test_any_sieves_make_the_curve_and_wrong_ones_are_refused(
     assert "sieve_set" not in page.url
 
 
+@pytest.mark.parametrize(
+    ("language", "one", "many"), [("en", "1 stone, ", "2 stones, "), ("de", "1 Stein, ", "2 Steine, ")]
+)
+def test_a_single_stone_is_called_one(
+    page: Page, replay: DaemonProcess, language: str, one: str, many: str
+) -> None:
+    page.goto(address(replay, f"/gallery?language={language}"))
+    expect(page.get_by_role("heading").first).to_be_visible()
+    told = page.evaluate(
+        """async () => {
+          const { src } = document.querySelector('script[src*="scripts/"]');
+          const { word } = await import(new URL("words.js", src));
+          return ["1", 2].map((n) => word("gallery.stones", { n }));
+        }"""
+    )
+    assert [text.startswith(begin) for text, begin in zip(told, (one, many), strict=True)] == [True, True]
+
+
 def test_the_largest_stones_of_a_lot_come_first(page: Page, replay: DaemonProcess, lot: str) -> None:
     page.goto(address(replay, f"/gallery?lot={lot}"))
     page.get_by_role("button", name="Largest stones first").click()

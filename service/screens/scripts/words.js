@@ -37,9 +37,13 @@ export function speak(chosen) {
   else location.replace(address);
 }
 
-/** Return the words of a key, with `{name}` replaced by `values.name`, `{name:.1f}` and `{name:+.1f}` with so many digits. */
+/** Return the words of a key, with `{name}` replaced by `values.name`, `{name:.1f}` and `{name:+.1f}` with so many digits.
+ *
+ * `{name|stone|stones}` is its first word if the value is one, else its second.
+ */
 export function word(key, values = {}) {
-  return (words[key] ?? key).replace(/\{(\w+)(?::(\+?)(?:\.(\d)f|g))?\}/g, (_, name, sign, digits) => {
+  const numbered = (words[key] ?? key).replace(/\{(\w+)\|([^|}]*)\|([^}]*)\}/g, (_, name, one, many) => (String(values[name]) === "1" ? one : many));
+  return numbered.replace(/\{(\w+)(?::(\+?)(?:\.(\d)f|g))?\}/g, (_, name, sign, digits) => {
     const value = values[name];
     if (NAMES.has(name)) return String(value).split(", ").map(named).join(", ");
     if (sign === undefined) return TIME.test(value) ? time(value) : String(value);
