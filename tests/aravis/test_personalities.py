@@ -296,7 +296,7 @@ def test_a_packet_beyond_the_camera_is_refused_with_the_remedy() -> None:
 def test_a_heartbeat_that_a_debugger_left_on_is_as_usual_again(
     left_ms: int, opened: Callable[..., Opened]
 ) -> None:
-    """pypylon 812, 863: for minutes after a crash nobody gets control, or control is lost every second."""
+    """A long one keeps the camera in use for minutes after a crash; a short one loses control (pypylon 812, 863)."""
     ways = replace(PLAIN, left_on={"GevHeartbeatTimeout": left_ms})
     simulated, camera, _ = opened(ways)
     assert said(camera, DeviceFault.FEATURE_PUT_BACK) == {"GevHeartbeatTimeout": "3000"}

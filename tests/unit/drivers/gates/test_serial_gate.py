@@ -169,14 +169,19 @@ def last_count(device: PtyGate, gate: SerialGate) -> GateCount:
     return trigger.gate_count
 
 
+def three_fallen_meanwhile(device: PtyGate, settings: SerialGateSettings) -> tuple[GateCount, SerialGate]:
+    """Return the count at the end of one process, and the gate of the next: three edges came between."""
+    count = last_count(device, SerialGate(settings))
+    for _ in range(3):
+        device.edge()
+    return count, SerialGate(settings)
+
+
 @pytest.mark.parametrize(("n_known", "n_missed"), [(0, 3), (1, 2), (3, 0), (4, 0)])
 def test_the_next_process_knows_what_fell_while_none_listened(
     device: PtyGate, settings: SerialGateSettings, n_known: int, n_missed: int
 ) -> None:
-    count = last_count(device, SerialGate(settings))
-    for _ in range(3):
-        device.edge()
-    successor = SerialGate(settings)
+    count, successor = three_fallen_meanwhile(device, settings)
     try:
         successor.resume(count, n_known)
         successor.open()
@@ -203,10 +208,7 @@ def test_the_next_process_knows_what_fell_while_none_listened(
 def test_no_time_that_was_noted_with_the_count_hinders_it(
     device: PtyGate, settings: SerialGateSettings, at: str
 ) -> None:
-    count = last_count(device, SerialGate(settings))
-    for _ in range(3):
-        device.edge()
-    successor = SerialGate(settings)
+    count, successor = three_fallen_meanwhile(device, settings)
     try:
         successor.resume(replace(count, at=at), 0)
         successor.open()
@@ -219,10 +221,7 @@ def test_no_time_that_was_noted_with_the_count_hinders_it(
 
 
 def test_of_another_gate_nothing_is_known(device: PtyGate, settings: SerialGateSettings) -> None:
-    count = last_count(device, SerialGate(settings))
-    for _ in range(3):
-        device.edge()
-    successor = SerialGate(settings)
+    count, successor = three_fallen_meanwhile(device, settings)
     try:
         successor.resume(replace(count, gate="other,1,1"), 0)
         successor.open()

@@ -107,7 +107,7 @@ def test_a_count_that_goes_back_is_a_restart_whatever_the_clock_says(
 def test_a_count_that_goes_on_is_a_restart_if_the_clock_does_not_fit(
     on_us: int, first: int, off_us: int, since_us: int, n_more: int
 ) -> None:
-    """Of a power cut the host's clock tells, unless it took just as long as the gate's clock had until its wrap."""
+    """The host's clock tells it from a wrap, unless it took just as long as the gate's clock had until its wrap."""
     board = Board(32, 0, on_us=on_us, count=first)
     board.counter.status(board.sent_count, board.sent_us, board.host_us * 1000)
     board.wait(off_us)

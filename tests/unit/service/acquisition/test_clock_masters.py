@@ -1,8 +1,10 @@
 """Clocks of the cameras are judged for the rig: one master among slaves is right, several are not."""
 
+from typing import cast
+
 import pytest
 
-from drivers.interfaces import CameraVitals
+from drivers.interfaces import Camera, CameraVitals
 from pipeline.frames import CameraId
 from service.acquisition.rig_cameras import RigCameras
 from service.base.messages import Code, findings_of
@@ -16,6 +18,16 @@ class Silent:
         return CameraVitals()
 
 
+def rig_of(*cameras: tuple[DeviceState, str | None]) -> RigCameras:
+    """Return a rig of cameras in these states, whose clocks say this of themselves."""
+    names = [CameraId(f"c{number:02d}") for number in range(1, len(cameras) + 1)]
+    rig = RigCameras({name: cast(Camera, Silent()) for name in names})
+    for name, (state, clock) in zip(names, cameras, strict=True):
+        keeper = rig._cameras[name].keeper
+        keeper.state, keeper.vitals = state, CameraVitals(ptp_status=clock)
+    return rig
+
+
 @pytest.mark.parametrize(
     ("clocks", "masters"),
     [
@@ -27,11 +39,7 @@ class Silent:
     ],
 )
 def test_several_masters_are_named_at_each_of_them(clocks: list[str | None], masters: list[str]) -> None:
-    names = [CameraId(f"c{number:02d}") for number in range(1, len(clocks) + 1)]
-    rig = RigCameras({name: Silent() for name in names})  # type: ignore[dict-item] # not opened here
-    for name, clock in zip(names, clocks, strict=True):
-        keeper = rig._cameras[name].keeper
-        keeper.state, keeper.vitals = DeviceState.ARMED, CameraVitals(ptp_status=clock)
+    rig = rig_of(*((DeviceState.ARMED, clock) for clock in clocks))
     warned = {status.id: status.warnings for status in rig.statuses() if status.warnings}
     assert sorted(warned) == masters
     for (warning,) in warned.values():
@@ -41,9 +49,5 @@ def test_several_masters_are_named_at_each_of_them(clocks: list[str | None], mas
 
 
 def test_a_camera_that_is_lost_is_no_master() -> None:
-    names = [CameraId("c01"), CameraId("c02")]
-    rig = RigCameras({name: Silent() for name in names})  # type: ignore[dict-item] # not opened here
-    for name, state in zip(names, (DeviceState.ARMED, DeviceState.LOST), strict=True):
-        keeper = rig._cameras[name].keeper
-        keeper.state, keeper.vitals = state, CameraVitals(ptp_status="Master")
+    rig = rig_of((DeviceState.ARMED, "Master"), (DeviceState.LOST, "Master"))
     assert all(status.warnings == () for status in rig.statuses())
