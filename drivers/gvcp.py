@@ -34,6 +34,8 @@ CONTROL_PRIVILEGE = 0xA00
 """Bootstrap register of every camera: its control privilege, 0 when no application has it."""
 DISCOVERY_BYTES = 0xF8
 """Size of a discovery acknowledgement's body: a copy of the device's first registers."""
+PROBE_S = 0.5
+"""How long a camera may take to answer a probe: one does in 1 ms, but this machine may be busy when it arrives."""
 
 _MAC = slice(0x0A, 0x10)
 _VENDOR, _MODEL, _VERSION = slice(0x48, 0x68), slice(0x68, 0x88), slice(0x88, 0xA8)
@@ -57,7 +59,7 @@ class DiscoveredCamera:
     mac: str  # lower case, with colons
 
 
-def probe(address: str, timeout_s: float = 0.1) -> DiscoveredCamera | None:
+def probe(address: str, timeout_s: float = PROBE_S) -> DiscoveredCamera | None:
     """Return the camera at one IPv4 address, None when none answers in time.
 
     It is asked twice within `timeout_s`: one lost datagram does not make a camera dead.

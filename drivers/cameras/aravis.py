@@ -27,8 +27,6 @@ from drivers.errors import CameraUnavailableError, DeviceFault, LossCause, Told,
 from drivers.interfaces import CameraVitals, EventSink
 from pipeline.frames import CameraId
 
-PROBE_S = 0.25
-"""How long a camera may take to answer a probe."""
 FULL_LINK_MBIT_S = 1000
 FRAME_RETENTION_US = 250_000
 """A frame is given up after so long without a packet; Aravis' default of 0.1 s is too short on a busy machine."""
@@ -119,7 +117,7 @@ class AravisCamera:
         device = self._device
         if self._camera is None or device is None:
             raise CameraUnavailableError(self.id, "is not open")
-        seen = gvcp.probe(device.address, PROBE_S)
+        seen = gvcp.probe(device.address)
         if seen is None:
             raise CameraUnavailableError(self.id, f"does not answer at {device.address}", LossCause.SILENT)
         if seen.serial != device.serial:
@@ -322,7 +320,7 @@ class AravisCamera:
 
     def _is_there(self) -> bool:
         device = self._device
-        return device is not None and gvcp.probe(device.address, PROBE_S) is not None
+        return device is not None and gvcp.probe(device.address) is not None
 
     def _counter(self, name: str) -> int:
         return int(self._stream.get_info_uint64_by_name(name))

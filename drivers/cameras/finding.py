@@ -1,6 +1,7 @@
 """Find the camera on the network that belongs in a place of the rig."""
 
 from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 
 from drivers import gvcp
@@ -34,7 +35,9 @@ def find_camera(
 
 def are_simulated(cameras: Sequence[GigeCameraSettings]) -> bool:
     """True when at least one of these cameras answers now, and all that answer are simulated."""
-    seen = [there for camera in cameras if camera.address and (there := gvcp.probe(camera.address))]
+    addresses = [camera.address for camera in cameras if camera.address]
+    with ThreadPoolExecutor(max(len(addresses), 1)) as asking:  # those that are off cost their time once
+        seen = [there for there in asking.map(gvcp.probe, addresses) if there]
     if not all(camera.address for camera in cameras):
         with suppress(OSError):  # an interface that is down: none answers
             seen += gvcp.discover(cameras[0].interfaces or None)

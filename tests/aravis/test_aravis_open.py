@@ -171,8 +171,8 @@ def test_one_that_falls_silent_amid_the_questions_is_as_silent_as_before_them(
     camera.open()
     probe = gvcp.probe
 
-    def probe_and_unplug(address: str, timeout_s: float) -> gvcp.DiscoveredCamera | None:
-        seen = probe(address, timeout_s)
+    def probe_and_unplug(address: str) -> gvcp.DiscoveredCamera | None:
+        seen = probe(address)
         simulated.unplug()
         return seen
 

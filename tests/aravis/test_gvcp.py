@@ -77,13 +77,13 @@ def test_everybody_answers_a_broadcast_in_order_of_addresses() -> None:
         assert [device.serial for device in ours(discover())] == [serial(2), serial(3), serial(10)]
 
 
-def test_a_dead_address_costs_a_tenth_of_a_second() -> None:
+def test_a_dead_address_costs_no_more_than_it_is_given() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as mute:
         mute.bind((f"{NET}.9", GVCP_PORT))
         lasted_s = []
         for _ in range(10):  # a busy machine may be late, but not always
             start_s = time.monotonic()
-            assert probe(f"{NET}.9") is None
+            assert probe(f"{NET}.9", timeout_s=0.1) is None
             lasted_s.append(time.monotonic() - start_s)
         assert min(lasted_s) < 0.3
     assert probe(f"{NET}.9") is None  # refused
