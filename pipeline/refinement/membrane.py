@@ -12,7 +12,9 @@ N_SWEEPS = 20
 """There and back over all nodes: enough for places of ten nodes across."""
 
 
-def stretched(shifts_mm: Values, sure: Values, anchors: Values, nodes: Nodes) -> Values:
+def stretched(
+    shifts_mm: Values, sure: Values, anchors: Values, nodes: Nodes, n_sweeps: int = N_SWEEPS
+) -> Values:
     """Return the shifts (K,) of a membrane that evidence of weight `sure` pulls to `shifts_mm`, `anchors` to zero.
 
     A surface has no holes: a node of which no pair of views tells anything, as on the wall of a dent, lies between its
@@ -20,17 +22,22 @@ def stretched(shifts_mm: Values, sure: Values, anchors: Values, nodes: Nodes) ->
     neighbours are normally distributed.
     """
     found_mm = shifts_mm.copy()
-    _stretch(shifts_mm, sure, anchors, nodes.neighbours, found_mm)
+    _stretch(shifts_mm, sure, anchors, nodes.neighbours, n_sweeps, found_mm)
     return found_mm
 
 
 @compiled
 def _stretch(
-    shifts_mm: Values, sure: Values, anchors: Values, neighbours: Indices32, found_mm: Values
+    shifts_mm: Values,
+    sure: Values,
+    anchors: Values,
+    neighbours: Indices32,
+    n_sweeps: int,
+    found_mm: Values,
 ) -> None:
     for i in range(len(found_mm)):
         found_mm[i] *= sure[i] / (sure[i] + anchors[i] + HOME)
-    for _ in range(N_SWEEPS):
+    for _ in range(n_sweeps):
         for i in range(len(found_mm)):
             found_mm[i] = _balanced(i, shifts_mm, sure, anchors, neighbours, found_mm)
         for i in range(len(found_mm) - 1, -1, -1):

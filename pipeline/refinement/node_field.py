@@ -10,7 +10,6 @@ from pipeline.compiled import compiled
 from pipeline.refinement.nodes import MAX_NEIGHBOURS, Nodes, smoothed
 from pipeline.refinement.passes import ALIKE, DOUBTFUL, EVIDENCE, PEAKED, RIDGE, TOUCH_MM
 
-CURVATURE_ROUNDS = 2
 MAX_SLOPE = 2.5
 CHANCE_MM = (0.02, 0.08)
 """Shifts (mm, rms of a neighbourhood) that patches have by chance, with full confidence and with none."""
@@ -136,21 +135,3 @@ def beyond_chance(shifts_mm: Values, sure: Values, nodes: Nodes) -> Values:
     chance_mm = CHANCE_MM[1] + np.minimum(sure, 1) * (CHANCE_MM[0] - CHANCE_MM[1])
     energy_mm2 = smoothed(nodes, shifts_mm**2, CHANCE_ROUNDS)
     return np.asarray(shifts_mm * energy_mm2**2 / (energy_mm2**2 + chance_mm**4))
-
-
-def patch_sagittas(
-    points_mm: PointsMM, normals: Directions, nodes: Nodes, half_mm: float, gains: Values, steps: Values
-) -> Values:
-    """Height (K,) of the surface's mean over a patch above its middle; negative where convex.
-
-    A flat patch is found at the mean of what it covers. `gains` weight its samples, at `steps` of the half edge.
-    """
-    has = nodes.neighbours >= 0
-    offsets_mm = (points_mm[nodes.neighbours] - points_mm[:, None]) * has[:, :, None]
-    heights_mm = np.einsum("nkc,nc->nk", offsets_mm, normals)
-    across2 = np.einsum("nkc,nkc->nk", offsets_mm, offsets_mm) - heights_mm**2
-    heights, areas = (
-        smoothed(nodes, values.sum(axis=1), CURVATURE_ROUNDS) for values in (heights_mm, across2)
-    )
-    patch2 = 2 * (gains * steps**2).sum() / gains.sum() * half_mm**2
-    return np.asarray(heights / np.maximum(areas, 1e-9) * patch2)

@@ -104,14 +104,26 @@ def widened(flags: Flags, nodes: Nodes) -> Flags:
 
 def smoothed(nodes: Nodes, values: Floats, n_rounds: int) -> Floats:
     """Return values (K, ...), each the mean of a node's own and its neighbours', smoothed so many times."""
-    links, has = nodes.neighbours, nodes.neighbours >= 0
-    weights = has / (1.0 + has.sum(axis=1, keepdims=True))
-    own = 1.0 / (1.0 + has.sum(axis=1))
+    means = np.ascontiguousarray(values, dtype=float).reshape(len(values), -1)
     for _ in range(n_rounds):
-        values = own.reshape(-1, *[1] * (values.ndim - 1)) * values + np.einsum(
-            "nk,nk...->n...", weights, values[links]
-        )
-    return values
+        means = _mean_around(means, nodes.neighbours)
+    return means.reshape(values.shape)
+
+
+@compiled
+def _mean_around(values: Annotated[Floats, "(K, C)"], neighbours: Indices32) -> Annotated[Floats, "(K, C)"]:
+    means = values.copy()
+    for i in range(len(values)):
+        n = 1
+        for k in range(MAX_NEIGHBOURS):
+            j = neighbours[i, k]
+            if j >= 0:
+                n += 1
+                for column in range(values.shape[1]):
+                    means[i, column] += values[j, column]
+        for column in range(values.shape[1]):
+            means[i, column] /= n
+    return means
 
 
 @compiled

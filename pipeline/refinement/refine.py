@@ -19,18 +19,17 @@ from pipeline.frames import CameraId, Frame
 from pipeline.geometry.icosphere import icosphere
 from pipeline.meshing import ParticleMesh
 from pipeline.refinement.crossings import without_crossings
+from pipeline.refinement.grey_alignment import aligned
 from pipeline.refinement.membrane import stretched
 from pipeline.refinement.node_field import (
     beyond_chance,
     facing,
     flat_gate,
-    patch_sagittas,
     touch_weights,
     without_spikes,
 )
 from pipeline.refinement.nodes import Nodes, smoothed, spread_nodes, vertex_normals, widened
-from pipeline.refinement.passes import N_SAMPLES, NORMAL_ROUNDS, OLDER, PASSES, SURE
-from pipeline.refinement.patch_scores import patch_samples
+from pipeline.refinement.passes import NORMAL_ROUNDS, OLDER, PASSES, SURE
 from pipeline.refinement.search import Found, Level, Photographed, search, search_again
 from pipeline.refinement.shift_field import Field, carried_over, vertex_shifts
 from pipeline.refinement.sightings import PhotoViews, photo_views
@@ -92,12 +91,15 @@ def refine_body(
     views = photo_views(frames, prepared, vertices_mm, background)
     stone = Photographed(views=views, size_mm=float(np.cbrt(estimate.volume_mm3)))
     field = None
-    for level in _levels(vertices_mm, normals, estimate.corners_mm[estimate.is_seen], stone.scale):
+    touches_mm = estimate.corners_mm[estimate.is_seen]
+    for level in _levels(vertices_mm, normals, touches_mm, stone.scale):
         field = _passed(level, field, stone)
     if field is None or field.support.share < MIN_SUPPORTED:
         return Refinement(mesh=estimate.mesh, views=views, fallback="no texture that the views share")
     shifts_mm = vertex_shifts(field, vertices_mm, normals, hull.vertices_mm - vertices_mm)
-    moved_mm = without_crossings(vertices_mm + shifts_mm, faces, (vertices_mm, hull.vertices_mm))
+    anchors = touch_weights(vertices_mm, touches_mm) ** 4
+    moved_mm = aligned(vertices_mm + shifts_mm, faces, anchors, views, stone.scale)
+    moved_mm = without_crossings(moved_mm, faces, (vertices_mm, hull.vertices_mm))
     if moved_mm is None:
         return Refinement(mesh=estimate.mesh, views=views, fallback="the surface would cross itself")
     return Refinement(mesh=ParticleMesh(moved_mm, faces), views=views, support=field.support)
@@ -134,18 +136,13 @@ def _passed(level: Level, before: Field | None, stone: Photographed) -> Field:
 
 def _finished(level: Level, found: Found, peaked_before: Values, stone: Photographed) -> Field:
     """Return the shifts after the last pass, which found all this, and what was searched again."""
-    nodes, half_mm = level.nodes, stone.scale * level.each.half_mm
+    nodes = level.nodes
     found, is_alike, is_new = search_again(level, found, stone)
-    points_mm = level.points_mm(found.shifts_mm)
-    sagittas_mm = patch_sagittas(
-        points_mm, facing(points_mm, nodes), nodes, half_mm, *patch_samples(N_SAMPLES)
-    )
     # what only larger patches show, as the bottom of a dent, stays as they found it
     older = OLDER * level.gate * np.clip(peaked_before / SURE - 1, 0, 1)
     sure, anchors = np.maximum(found.sure, older), level.touches**4  # anchored at the very points
-    shifts_mm = found.shifts_mm + np.where(found.sure > 0, sagittas_mm, 0.0)
-    smooth_mm = without_spikes(shifts_mm, nodes, level.most_mm)
-    shifts_mm = beyond_chance(np.where(is_new, shifts_mm, smooth_mm), sure, nodes)
+    smooth_mm = without_spikes(found.shifts_mm, nodes, level.most_mm)
+    shifts_mm = beyond_chance(np.where(is_new, found.shifts_mm, smooth_mm), sure, nodes)
     field = _field(
         nodes, found, stretched(shifts_mm, sure, anchors, nodes), sure, is_alike & (found.sure > 0)
     )

@@ -194,12 +194,17 @@ def surface_image(
 
 
 def _blurred_by_own_disc(image: FloatImage, diameters: FloatImage) -> FloatImage:
-    """Return an image (H, W), each pixel blurred by a disc of its own diameter: interpolated between a few discs."""
+    """Return an image (H, W), each pixel spread over a disc of its own diameter: interpolated between a few discs.
+
+    Spread, as a lens does it, not gathered: gathered, points would move towards where the discs are larger.
+    """
     low = float(diameters.min())
     high = max(float(diameters.max()), low + 1e-3)
     levels, step = np.linspace(low, high, 2 + int(high - low), retstep=True)
-    total = np.zeros_like(image)
+    light, weights = np.zeros_like(image), np.zeros_like(image)
     for level in levels:
         weight = np.clip(1 - np.abs(diameters - np.float32(level)) / np.float32(step), 0, 1)
-        total += weight * cv2.filter2D(image, -1, disc_kernel(level), borderType=cv2.BORDER_REPLICATE)
-    return total
+        kernel = disc_kernel(level)
+        light += cv2.filter2D(weight * image, -1, kernel, borderType=cv2.BORDER_REPLICATE)
+        weights += cv2.filter2D(weight, -1, kernel, borderType=cv2.BORDER_REPLICATE)
+    return light / weights
