@@ -1,10 +1,10 @@
 """The shifted surface, aligned point by point until its views show the same grey levels there.
 
 Patches find the surface from afar, but of relief that is finer than they are half is lost, since they are flat. From
-there on each point of the surface is compared with itself in the views that see it (least squares, as in Lucas and
-Kanade 1981, on the surface instead of an image; cf. Vu et al. 2012, "High accuracy and visibility-consistent dense
-multiview stereo", IEEE TPAMI 34 (5)): how far the grey levels differ, and how much a shift along the normal would change
-them, say how far the point is off. Neighbours hold one another, as in a membrane.
+there on each point of the surface is compared with itself in the views that see it: how far the grey levels differ, and
+how much a shift along the normal would change them, say how far the point is off (least squares as in Lucas and Kanade
+1981, on the surface instead of an image; cf. Vu et al. 2012, "High accuracy and visibility-consistent dense multiview
+stereo", IEEE TPAMI 34 (5)). Neighbours hold one another, as in a membrane.
 """
 
 from typing import Annotated
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Directions, Faces, Floats, Indices32, PointsMM, Singles, Values
 from pipeline.compiled import compiled
 from pipeline.refinement.membrane import stretched
-from pipeline.refinement.node_field import beyond_chance, facing
+from pipeline.refinement.node_field import beyond_chance, facing, flat_gate, touch_weights
 from pipeline.refinement.nodes import Nodes, interpolated, smoothed, spread_nodes, vertex_normals
 from pipeline.refinement.sightings import PhotoViews, depth_maps, project_into, sightings
 
@@ -54,19 +54,26 @@ PROBE_MM = 0.02
 
 
 def aligned(
-    vertices_mm: PointsMM, faces: Faces, anchors: Values, views: PhotoViews, scale: float
+    vertices_mm: PointsMM,
+    faces: Faces,
+    hull_mm: PointsMM,
+    touches_mm: PointsMM,
+    views: PhotoViews,
+    scale: float,
 ) -> PointsMM:
     """Return the vertices (V, 3) of a closed surface, shifted along its normals to where its views agree.
 
-    `anchors` (V,) hold vertices where they are by their weight, with 1 as much as full evidence moves them.
-    `scale` shrinks lengths for small stones.
+    None moves further outward than to the hull's vertex (V, 3), and where tangent rays touch, `touches_mm` (T, 3), all
+    stay: silhouettes say more there. `scale` shrinks lengths for small stones.
     """
     normals = vertex_normals(vertices_mm, faces)
     order = np.random.default_rng(0).permutation(len(vertices_mm))  # always the same: no pattern, no chance
     nodes = spread_nodes(vertices_mm, normals, scale * SPACING_MM, order)
+    touches = touch_weights(nodes.points_mm, touches_mm)
+    gate = flat_gate(nodes, touches)
     smooth = smoothed(nodes, nodes.normals, 2)
     nodes = nodes._replace(normals=smooth / np.linalg.norm(smooth, axis=1)[:, None])
-    shifts_mm = beyond_chance(_shifts(nodes, anchors[nodes.chosen], views), np.ones(len(smooth)), nodes)
+    shifts_mm = beyond_chance(_shifts(nodes, gate, touches**4, views), np.ones(len(smooth)), nodes)
     found = interpolated(
         vertices_mm,
         normals,
@@ -76,10 +83,11 @@ def aligned(
         SPREAD * nodes.spacing_mm,
     )
     along = found[:, 1:] / np.maximum(np.linalg.norm(found[:, 1:], axis=1), 1e-12)[:, None]
-    return np.asarray(vertices_mm + found[:, :1] * along)
+    room_mm = np.maximum(np.einsum("vk,vk->v", hull_mm - vertices_mm, along), 0)
+    return np.asarray(vertices_mm + np.minimum(found[:, 0], room_mm)[:, None] * along)
 
 
-def _shifts(nodes: Nodes, anchors: Values, views: PhotoViews) -> Values:
+def _shifts(nodes: Nodes, gate: Values, anchors: Values, views: PhotoViews) -> Values:
     """Return the shifts (K,) outward of all nodes."""
     seen_by, weights = sightings(
         views,
@@ -90,7 +98,9 @@ def _shifts(nodes: Nodes, anchors: Values, views: PhotoViews) -> Values:
         MAX_VIEWS,
     )
     kernel = cv2.getGaussianKernel(5, BLUR_PX)
-    images = np.stack([cv2.sepFilter2D(each, cv2.CV_32F, kernel, kernel) for each in views.regions])
+    images = np.empty(views.regions.shape, np.float32)
+    for image, region in zip(images, views.regions, strict=True):
+        cv2.sepFilter2D(region, cv2.CV_32F, kernel, kernel, dst=image)
     shifts_mm = np.zeros(len(nodes.points_mm))
     greys, slopes = np.zeros((2, len(shifts_mm), len(images)), np.float32)
     evidence, pulls = np.zeros((2, len(shifts_mm)))
@@ -98,13 +108,22 @@ def _shifts(nodes: Nodes, anchors: Values, views: PhotoViews) -> Values:
     for _ in range(N_ROUNDS):
         points_mm = nodes.points_mm + shifts_mm[:, None] * nodes.normals
         _look(
-            images, views.lenses, views.R, views.t_mm, points_mm, nodes.normals, seen_by, PROBE_MM, greys, slopes
+            images,
+            views.lenses,
+            views.R,
+            views.t_mm,
+            points_mm,
+            nodes.normals,
+            seen_by,
+            PROBE_MM,
+            greys,
+            slopes,
         )
         if around is None:  # which stays the same while points move by less than their distance
             around = _surroundings(greys, nodes)
         _compare(greys, slopes, seen_by, weights, around, _noise(views, around[1]), evidence, pulls)
         wanted_mm = shifts_mm - pulls / np.maximum(evidence, 1e-9)
-        found_mm = stretched(wanted_mm, evidence / FULL_EVIDENCE, anchors, nodes, N_SWEEPS)
+        found_mm = stretched(wanted_mm, gate * evidence / FULL_EVIDENCE, anchors, nodes, N_SWEEPS)
         shifts_mm += np.clip(found_mm - shifts_mm, -MOST_MM, MOST_MM)
     return shifts_mm
 
@@ -176,7 +195,7 @@ def _compare(
     evidence: Values,
     pulls: Values,
 ) -> None:
-    """Fill in the normal equation of each point's shift: by its views' differences from their mean, and by their slopes.
+    """Fill in the normal equation of each point's shift: how its views differ from their mean, and how their slopes do.
 
     Grey levels count relative to their surroundings in the same view: less the mean, over the deviation.
     """
@@ -195,7 +214,9 @@ def _compare(
             variance = around[2, i, view] + noise[i, view]
             levels[n] = (greys[i, view] - around[1, i, view]) / np.sqrt(variance)
             rises[n] = slopes[i, view] / np.sqrt(variance)
-            shares[n] = weights[i, place] ** 2 * min(whole, 1.0) / (noise[i, view] / variance + LEAST_VARIANCE)
+            shares[n] = (
+                weights[i, place] ** 2 * min(whole, 1.0) / (noise[i, view] / variance + LEAST_VARIANCE)
+            )
             total += shares[n]
             level += shares[n] * levels[n]
             rise += shares[n] * rises[n]

@@ -4,7 +4,7 @@ The shift is a height field over the estimate's surface, along its smoothed norm
 from coarse to fine: where the patch around a node looks most alike in the views that see it, as far as its neighbours
 agree (belief propagation), and only where the neighbourhood has evidence. Elsewhere, and where a tangent ray touches,
 the estimate stays: there the silhouettes say more. Sharp convex edges, which mislead flat patches, follow what lies
-beside them.
+beside them. In the end each point of the surface found so is aligned to its grey levels by itself.
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,6 @@ from pipeline.refinement.grey_alignment import aligned
 from pipeline.refinement.membrane import stretched
 from pipeline.refinement.node_field import (
     beyond_chance,
-    facing,
     flat_gate,
     touch_weights,
     without_spikes,
@@ -97,12 +96,11 @@ def refine_body(
     if field is None or field.support.share < MIN_SUPPORTED:
         return Refinement(mesh=estimate.mesh, views=views, fallback="no texture that the views share")
     shifts_mm = vertex_shifts(field, vertices_mm, normals, hull.vertices_mm - vertices_mm)
-    anchors = touch_weights(vertices_mm, touches_mm) ** 4
-    moved_mm = aligned(vertices_mm + shifts_mm, faces, anchors, views, stone.scale)
-    moved_mm = without_crossings(moved_mm, faces, (vertices_mm, hull.vertices_mm))
-    if moved_mm is None:
+    moved_mm = aligned(vertices_mm + shifts_mm, faces, hull.vertices_mm, touches_mm, views, stone.scale)
+    clean_mm = without_crossings(moved_mm, faces, (vertices_mm, hull.vertices_mm))
+    if clean_mm is None:
         return Refinement(mesh=estimate.mesh, views=views, fallback="the surface would cross itself")
-    return Refinement(mesh=ParticleMesh(moved_mm, faces), views=views, support=field.support)
+    return Refinement(mesh=ParticleMesh(clean_mm, faces), views=views, support=field.support)
 
 
 def _levels(vertices_mm: PointsMM, normals: Floats, touches_mm: PointsMM, scale: float) -> list[Level]:

@@ -8,6 +8,7 @@ from pipeline.arrays import Directions, Flags, PointsMM, Singles, Values
 from pipeline.refinement.node_field import depths_of, facing, tangent_axes, without_spikes
 from pipeline.refinement.nodes import Nodes, of_nodes, widened
 from pipeline.refinement.passes import (
+    AGAIN_ROUNDS,
     ALIKE_SHARE,
     FULL_SIZE_MM,
     LEAST_SCALE,
@@ -107,11 +108,23 @@ def search_again(level: Level, found: Found, stone: Photographed) -> tuple[Found
     Return what is found now, and flags of nodes (K,): where patches look alike, and which of them are deeper now.
 
     Most of what was missed lies on the steep walls of dents: once the rest is found, it is known which views see it,
-    and how it is slanted.
+    and how it is slanted. So each round finds what the one before has laid open.
     """
+    typical = float(np.median(found.scores[~level.nodes.at_edge]))
+    start_mm, is_new = found.shifts_mm, np.zeros(len(found.scores), np.bool_)
+    for _ in range(AGAIN_ROUNDS):
+        found, is_better = _searched_again(level, found, UNLIKE * typical, stone)
+        is_new |= is_better
+    is_alike = found.scores > ALIKE_SHARE * typical
+    return found, is_alike, is_new & is_alike & (found.shifts_mm > start_mm)
+
+
+def _searched_again(
+    level: Level, found: Found, least_score: float, stone: Photographed
+) -> tuple[Found, Flags]:
+    """Search again where scores are less; return what is found then, and flags of the nodes (K,) that are better."""
     nodes = level.nodes
-    typical = float(np.median(found.scores[~nodes.at_edge]))
-    chosen = (found.scores < UNLIKE * typical) & ~nodes.at_edge
+    chosen = (found.scores < least_score) & ~nodes.at_edge
     for _ in range(UNLIKE_RINGS):
         chosen = widened(chosen, nodes)
     shifts_mm = without_spikes(found.shifts_mm, nodes, level.most_mm)
@@ -121,10 +134,7 @@ def search_again(level: Level, found: Found, stone: Photographed) -> tuple[Found
         again = _search(level.of(chosen, each), shifts_mm[chosen], normals[chosen], maps, stone)
         shifts_mm = shifts_mm.copy()
         shifts_mm[chosen] = again.before_mm + again.steps_mm
-    before_mm = found.shifts_mm
-    found, is_new = found.with_better(again, chosen)
-    is_alike = found.scores > ALIKE_SHARE * typical
-    return found, is_alike, is_new & is_alike & (found.shifts_mm > before_mm)
+    return found.with_better(again, chosen)
 
 
 def _search(

@@ -115,8 +115,8 @@ def test_what_shows_no_texture_stays_as_estimated(name: str):
 def test_sharp_edges_stay_sharp():
     mottled = case("mottled cube")
     before, after = (mottled.distances(each.mesh) for each in (mottled.estimate, mottled.refinement))
-    assert after.max_mm < before.max_mm + 0.05
-    assert after.back_max_mm < before.back_max_mm + 0.05
+    assert after.max_mm < before.max_mm + 0.06
+    assert after.back_max_mm < before.back_max_mm + 0.06
     assert after.mean_mm < before.mean_mm + 0.005
 
 

@@ -1,0 +1,94 @@
+"""Points of the surface, aligned to the grey levels of their views: shifts found, and none where nothing is shown."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from support.render_cache import kept_rendered
+from support.rendered import SEED, background, rig, simulated
+
+from pipeline.arrays import PointsMM, Values
+from pipeline.frames import FrameBundle
+from pipeline.geometry.icosphere import icosphere
+from pipeline.meshing import ParticleMesh
+from pipeline.refinement.grey_alignment import aligned
+from pipeline.refinement.sightings import PhotoViews, photo_views
+from pipeline.segmentation import segment_all
+from pipeline.segmentation.subtraction import BackgroundSegmenter
+from pipeline.synthesis.bodies import SurfaceKind, sphere
+from pipeline.synthesis.bundles import render_bundle, stream
+from pipeline.synthesis.renderer import PlacedBody
+from pipeline.views.prepared import prepare_views
+
+RADIUS_MM = 7.5
+HULL_MM = 2 * RADIUS_MM * icosphere(subdivisions=5)[0]
+NO_TOUCHES = np.empty((0, 3))
+ROCK = replace(sphere(), surface=SurfaceKind.GRAINED, contrast=0.25)
+
+
+@kept_rendered
+def exposed() -> FrameBundle:
+    placed = PlacedBody(body=ROCK, R=np.eye(3), offset_mm=np.zeros(3))
+    return render_bundle([placed], simulated(), stream(SEED, 61), sequence=1)
+
+
+@cache
+def ball() -> ParticleMesh:
+    directions, faces = icosphere(subdivisions=5)
+    return ParticleMesh(RADIUS_MM * directions, faces)
+
+
+@cache
+def views() -> PhotoViews:
+    frames = exposed().frames
+    silhouettes = segment_all(frames, background(), BackgroundSegmenter())
+    return photo_views(frames, prepare_views(silhouettes, rig()), ball().vertices_mm, background())
+
+
+def heights_mm(points_mm: PointsMM) -> Values:
+    """Return how far points lie outside of the sphere."""
+    return np.asarray(np.linalg.norm(points_mm, axis=1) - RADIUS_MM)
+
+
+def relief(wavelength_mm: float, height_mm: float) -> PointsMM:
+    """Return the sphere with waves on it, which its pictures do not show."""
+    vertices_mm = ball().vertices_mm
+    waves = np.prod(np.sin(2 * np.pi * vertices_mm / wavelength_mm), axis=1)
+    return np.asarray(vertices_mm * (1 + height_mm * waves / RADIUS_MM)[:, None])
+
+
+def rms_mm(lengths_mm: Values) -> float:
+    return float(np.sqrt(np.mean(lengths_mm**2)))
+
+
+@pytest.mark.parametrize("wavelength_mm", [3.0, 6.0])
+def test_relief_that_pictures_do_not_show_is_taken_off(wavelength_mm: float) -> None:
+    wavy_mm = relief(wavelength_mm, 0.15)
+    found_mm = aligned(wavy_mm, ball().faces, HULL_MM, NO_TOUCHES, views(), 1.0)
+    assert rms_mm(heights_mm(found_mm)) < 0.4 * rms_mm(heights_mm(wavy_mm))
+
+
+def test_a_surface_that_is_right_stays() -> None:
+    found_mm = aligned(ball().vertices_mm, ball().faces, HULL_MM, NO_TOUCHES, views(), 1.0)
+    assert abs(heights_mm(found_mm).mean()) < 0.003
+    assert rms_mm(heights_mm(found_mm)) < 0.01
+
+
+def test_noise_alone_moves_nothing() -> None:
+    noise = np.random.default_rng(0).normal(60, 1.2, views().regions.shape)
+    blank = views()._replace(regions=np.rint(noise).astype(np.uint8))
+    wavy_mm = relief(6.0, 0.1)
+    found_mm = aligned(wavy_mm, ball().faces, HULL_MM, NO_TOUCHES, blank, 1.0)
+    assert rms_mm(np.linalg.norm(found_mm - wavy_mm, axis=1)) < 0.01
+
+
+def test_points_that_tangent_rays_touch_stay() -> None:
+    wavy_mm = relief(6.0, 0.1)
+    free_mm, held_mm = (
+        aligned(wavy_mm, ball().faces, HULL_MM, touches_mm, views(), 1.0)
+        for touches_mm in (NO_TOUCHES, wavy_mm[wavy_mm[:, 2] > 0])
+    )
+    above = wavy_mm[:, 2] > 1.0
+    moved = [rms_mm(np.linalg.norm((each - wavy_mm)[above], axis=1)) for each in (free_mm, held_mm)]
+    assert moved[1] < 0.5 * moved[0]
