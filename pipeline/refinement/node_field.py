@@ -70,16 +70,38 @@ def flat_gate(nodes: Nodes, touches: Values) -> Values:
 
     Tangent rays touch an edge of the body, `touches` (K,), and none those of the estimate that span a dent.
     """
+    closed = np.empty(len(touches))
+    _close(nodes.points_mm, nodes.normals, nodes.neighbours, nodes.at_edge, touches, closed)
     has = nodes.neighbours >= 0
-    around = nodes.normals + (nodes.normals[nodes.neighbours] * has[:, :, None]).sum(axis=1)
-    sharpness = 1 - np.linalg.norm(around, axis=1) / (1 + has.sum(axis=1))
-    offsets_mm = (nodes.points_mm[nodes.neighbours] - nodes.points_mm[:, None]) * has[:, :, None]
-    is_convex = np.einsum("nkc,nc->n", offsets_mm, nodes.normals) < 0
-    touched = np.maximum(touches, np.where(has, touches[nodes.neighbours], 0.0).max(axis=1)) ** 0.25
-    closed = np.clip((sharpness - RIDGE[0]) / (RIDGE[1] - RIDGE[0]), 0, 1) * touched * is_convex
-    closed[nodes.at_edge] = 1.0
     # their patches reach over it
     return 1 - np.maximum(closed, np.where(has, closed[nodes.neighbours], 0.0).max(axis=1))
+
+
+@compiled
+def _close(
+    points_mm: PointsMM,
+    normals: Directions,
+    neighbours: Indices32,
+    at_edge: Flags,
+    touches: Values,
+    closed: Values,
+) -> None:
+    """Fill in how sharp the body's convex edge is at each node: 0 on a face, 1 where all patches mislead."""
+    for i in range(len(points_mm)):
+        n, touched, rise_mm = 1, touches[i], 0.0
+        x, y, z = normals[i, 0], normals[i, 1], normals[i, 2]
+        for k in range(MAX_NEIGHBOURS):
+            j = neighbours[i, k]
+            if j < 0:
+                continue
+            n += 1
+            touched = max(touched, touches[j])
+            x, y, z = x + normals[j, 0], y + normals[j, 1], z + normals[j, 2]
+            for axis in range(3):
+                rise_mm += (points_mm[j, axis] - points_mm[i, axis]) * normals[i, axis]
+        sharpness = 1 - np.sqrt(x * x + y * y + z * z) / n
+        edge = min(max((sharpness - RIDGE[0]) / (RIDGE[1] - RIDGE[0]), 0.0), 1.0)
+        closed[i] = 1.0 if at_edge[i] else (edge * touched**0.25 if rise_mm < 0 else 0.0)
 
 
 def touch_weights(points_mm: PointsMM, touches_mm: PointsMM) -> Values:

@@ -1,10 +1,21 @@
 """Nodes: points of the surface, evenly spread, each with a normal, a tangent frame and its neighbours."""
 
-from typing import Annotated, NamedTuple
+from typing import Annotated, NamedTuple, TypeVar
 
 import numpy as np
 
-from pipeline.arrays import Directions, Faces, Flags, Floats, Indices, Indices32, PointsMM, Values, Vector
+from pipeline.arrays import (
+    Directions,
+    Faces,
+    Flags,
+    Floats,
+    Indices,
+    Indices32,
+    PointsMM,
+    Singles,
+    Values,
+    Vector,
+)
 from pipeline.compiled import compiled, compiled_within
 from pipeline.refinement.cells import Cells, find_near, sort_into_cells
 
@@ -19,6 +30,9 @@ REACH_SDS = 2.8
 """Reach of an interpolation, in standard deviations of its Gaussian."""
 NEIGHBOURS_WITHIN = 2.0
 """Reach for neighbours, in spacings."""
+CELL = 2.0
+"""Edge of the cells that points are sorted into, in spacings: of smaller ones most are empty."""
+Reals = TypeVar("Reals", Floats, Singles)
 
 
 class Nodes(NamedTuple):
@@ -71,7 +85,7 @@ def spread_nodes(
 
     They are taken in `order` (N,), or as they come; of two on opposite sides of a thin place both may be nodes.
     """
-    cells = sort_into_cells(points_mm, spacing_mm)
+    cells = sort_into_cells(points_mm, CELL * spacing_mm)
     is_free = np.ones(len(points_mm), np.bool_)
     chosen = np.empty(len(points_mm), np.int64)
     order = np.arange(len(points_mm)) if order is None else order
@@ -80,7 +94,8 @@ def spread_nodes(
     node_normals = np.ascontiguousarray(normals[chosen])
     neighbours = np.full((len(chosen), MAX_NEIGHBOURS), -1, np.int32)
     at_edge = np.zeros(len(chosen), np.bool_)
-    _link(nodes_mm, node_normals, sort_into_cells(nodes_mm, spacing_mm), spacing_mm, neighbours, at_edge)
+    cells = sort_into_cells(nodes_mm, CELL * spacing_mm)
+    _link(nodes_mm, node_normals, cells, spacing_mm, neighbours, at_edge)
     return Nodes(chosen, nodes_mm, node_normals, neighbours, spacing_mm, at_edge)
 
 
@@ -102,16 +117,16 @@ def widened(flags: Flags, nodes: Nodes) -> Flags:
     return np.asarray(flags | (flags[nodes.neighbours] & (nodes.neighbours >= 0)).any(axis=1))
 
 
-def smoothed(nodes: Nodes, values: Floats, n_rounds: int) -> Floats:
+def smoothed(nodes: Nodes, values: Reals, n_rounds: int) -> Reals:
     """Return values (K, ...), each the mean of a node's own and its neighbours', smoothed so many times."""
-    means = np.ascontiguousarray(values, dtype=float).reshape(len(values), -1)
+    means = np.ascontiguousarray(values).reshape(len(values), -1)
     for _ in range(n_rounds):
         means = _mean_around(means, nodes.neighbours)
     return means.reshape(values.shape)
 
 
 @compiled
-def _mean_around(values: Annotated[Floats, "(K, C)"], neighbours: Indices32) -> Annotated[Floats, "(K, C)"]:
+def _mean_around(values: Annotated[Reals, "(K, C)"], neighbours: Indices32) -> Annotated[Reals, "(K, C)"]:
     means = values.copy()
     for i in range(len(values)):
         n = 1
@@ -208,8 +223,13 @@ def interpolated(
 ) -> Annotated[Floats, "(N, C)"]:
     """Return values at points of the surface (N, 3): means of those of the nodes around, by weight and a Gaussian."""
     cells = sort_into_cells(nodes.points_mm, REACH_SDS * sd_mm)
+    order = cells.order
+    rows = np.column_stack([nodes.normals, weights, values])[
+        order
+    ]  # what is looked at together lies together
+    cells = cells._replace(order=np.arange(len(order)))
     found = np.zeros((len(points_mm), values.shape[1]))
-    _interpolate(points_mm, normals, nodes.points_mm, nodes.normals, values, weights, cells, sd_mm, found)
+    _interpolate(points_mm, normals, rows, cells, sd_mm, found)
     return found
 
 
@@ -217,26 +237,25 @@ def interpolated(
 def _interpolate(
     points_mm: PointsMM,
     normals: Directions,
-    nodes_mm: PointsMM,
-    node_normals: Directions,
-    values: Floats,
-    weights: Values,
+    rows: Annotated[Floats, "(K, 4 + C)"],
     cells: Cells,
     sd_mm: float,
     found: Floats,
 ) -> None:
+    """Fill in the means of what nodes have behind their normal and their weight."""
     reach_mm = REACH_SDS * sd_mm
-    near, distances2 = np.empty(len(nodes_mm), np.int64), np.empty(len(nodes_mm))
+    near, distances2 = np.empty(len(rows), np.int64), np.empty(len(rows))
     for i in range(len(points_mm)):
-        total = 0.0
+        total, x, y, z = 0.0, normals[i, 0], normals[i, 1], normals[i, 2]
         for at in range(find_near(cells, points_mm[i], reach_mm, near, distances2)):
             j = near[at]
             # falls to zero at the reach, as (1 - d2 / reach2)^3: a Gaussian without its cost
             fall = 1 - distances2[at] / (reach_mm * reach_mm)
-            weight = weights[j] * max(cosine(normals[i], node_normals[j]), 0.0) * fall * fall * fall
+            cosine = x * rows[j, 0] + y * rows[j, 1] + z * rows[j, 2]
+            weight = rows[j, 3] * max(cosine, 0.0) * fall * fall * fall
             total += weight
-            for column in range(values.shape[1]):
-                found[i, column] += weight * values[j, column]
+            for column in range(found.shape[1]):
+                found[i, column] += weight * rows[j, 4 + column]
         if total > 0:
-            for column in range(values.shape[1]):
+            for column in range(found.shape[1]):
                 found[i, column] /= total

@@ -9,8 +9,8 @@ from pipeline.arrays import Values
 
 OUTWARD_MM, DEEPEST_SHARE = 0.15, 0.17
 """Greatest shift outward that is tried, and inward, as a share of the stone's size: most dents are 0.15 of it deep."""
-N_SAMPLES, MAX_VIEWS = 5, 3
-"""Samples along the edge of a patch, and views that are compared."""
+N_SAMPLES, MAX_VIEWS = 4, 3
+"""Samples along the edge of a patch: five find as much, in half as much time again; and views that are compared."""
 STIFFNESS = 0.035
 """Cost of a millimetre between neighbours a millimetre apart."""
 SPIKE_SLOPE = 0.4

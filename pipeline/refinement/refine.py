@@ -58,7 +58,9 @@ def warm_up() -> Refinement:
     """Refine a made-up ball, which compiles all that the first stone would wait for."""
     ball, frames, views = made_up_ball()
     without_crossings(ball.vertices_mm, ball.faces)
-    return refine_body(estimate_body(ball, views), ball, frames, views)
+    refined = refine_body(estimate_body(ball, views), ball, frames, views)
+    aligned(ball.vertices_mm, ball.faces, ball.vertices_mm, np.zeros((0, 3)), refined.views, 1.0)
+    return refined
 
 
 def made_up_ball() -> tuple[ParticleMesh, Mapping[CameraId, Frame], PreparedViews]:

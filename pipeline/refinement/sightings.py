@@ -135,6 +135,9 @@ def depth_maps(views: PhotoViews, points_mm: PointsMM) -> Annotated[Singles, "(V
     n_views, height, width = views.regions.shape
     maps = np.full((n_views, height // COARSE + 1, width // COARSE + 1), np.inf, np.float32)
     _splat(views.lenses, views.R, views.t_mm, points_mm, maps)
+    covered = np.ones((2 * SPLAT + 1, 2 * SPLAT + 1), np.uint8)
+    for each in maps:
+        cv2.erode(each, covered, dst=each)
     maps[~views.is_inner] = np.inf
     return maps
 
@@ -153,9 +156,8 @@ def _splat(lenses: Floats, R: Floats, t_mm: PointsMM, points_mm: PointsMM, maps:
                 lenses[view], R[view], t_mm[view], points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
             )
             column, row = int(u / COARSE), int(v / COARSE)
-            for y in range(max(row - SPLAT, 0), min(row + SPLAT + 1, maps.shape[1])):
-                for x in range(max(column - SPLAT, 0), min(column + SPLAT + 1, maps.shape[2])):
-                    maps[view, y, x] = min(maps[view, y, x], np.float32(depth))
+            if 0 <= row < maps.shape[1] and 0 <= column < maps.shape[2]:
+                maps[view, row, column] = min(maps[view, row, column], np.float32(depth))
 
 
 def sightings(
