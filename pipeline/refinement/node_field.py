@@ -65,6 +65,31 @@ def _fit_slopes(
         slopes[i, 1] = (ss * th - st * sh) / (ss * tt - st * st)
 
 
+def mean_curvatures(nodes: Nodes) -> Values:
+    """Return the mean curvature (1/mm) of the surface around each node (K,), positive where it is convex."""
+    curvatures = np.empty(len(nodes.points_mm))
+    _fit_curvatures(nodes.points_mm, nodes.normals, nodes.neighbours, curvatures)
+    return curvatures
+
+
+@compiled
+def _fit_curvatures(
+    points_mm: PointsMM, normals: Directions, neighbours: Indices32, curvatures: Values
+) -> None:
+    """Fill in the curvature of the sphere through each node that lies nearest to its neighbours."""
+    for i in range(len(points_mm)):
+        fall_mm, squares_mm2 = 0.0, 1e-9
+        for k in range(MAX_NEIGHBOURS):
+            j = neighbours[i, k]
+            if j < 0:
+                continue
+            for axis in range(3):
+                offset_mm = points_mm[j, axis] - points_mm[i, axis]
+                fall_mm -= offset_mm * normals[i, axis]
+                squares_mm2 += offset_mm * offset_mm
+        curvatures[i] = 2 * fall_mm / squares_mm2
+
+
 def flat_gate(nodes: Nodes, touches: Values) -> Values:
     """Return 1 for nodes (K,) where patches lie on one face, 0 at sharp convex edges of the body, by their own normals.
 

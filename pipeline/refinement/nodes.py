@@ -13,7 +13,6 @@ from pipeline.arrays import (
     Indices32,
     PointsMM,
     Singles,
-    Values,
     Vector,
 )
 from pipeline.compiled import compiled, compiled_within

@@ -31,6 +31,8 @@ SPLAT = 2
 """Pixels of the depth map that a node covers to each side."""
 MIN_COSINE = 0.3
 """Least cosine between normal and line of sight: 73 degrees. The bottom of a dent is often seen by few others."""
+LEAST_WEIGHT = 0.1
+"""Weight of a view with this cosine; it rises with the cosine."""
 SLACK_MM = 0.7
 """Depth behind the depth map that still counts as seen, beside what the covered pixels tilt."""
 
@@ -46,6 +48,7 @@ class PhotoViews(NamedTuple):
     t_mm: PointsMM
     centers_mm: PointsMM
     noise: Singles  # (V, 2) of their pixels: variance of reading, and per grey level
+    blur_px: Values  # (V,) sigma of their outlines
 
 
 def photo_views(
@@ -86,6 +89,7 @@ def photo_views(
             ],
             np.float32,
         ),
+        np.array([_blur_px(each) for each in views.silhouettes]),
     )
 
 
@@ -102,8 +106,12 @@ def _inner(silhouette: Silhouette, corner_uv: Indices, size: tuple[int, int]) ->
         own.append(slice(first, last))
         labels.append(slice(at + first * COARSE, at + last * COARSE, COARSE))
     canvas[tuple(own)] = silhouette.labels[tuple(labels)] == INSIDE
-    sigma_px = SHARP_SIGMA_PX if silhouette.edge_sigma_px is None else silhouette.edge_sigma_px
-    return np.asarray(cv2.distanceTransform(canvas, cv2.DIST_L2, 3) * COARSE > BORDER_SIGMAS * sigma_px)
+    inside_px = cv2.distanceTransform(canvas, cv2.DIST_L2, 3) * COARSE
+    return np.asarray(inside_px > BORDER_SIGMAS * _blur_px(silhouette))
+
+
+def _blur_px(silhouette: Silhouette) -> float:
+    return SHARP_SIGMA_PX if silhouette.edge_sigma_px is None else silhouette.edge_sigma_px
 
 
 def _halved(regions: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -186,6 +194,11 @@ def sightings(
     return chosen, weights
 
 
+def cosines_of(weights: Singles) -> Singles:
+    """Return the cosines between normal and line of sight of views with these weights."""
+    return weights + np.float32(MIN_COSINE - LEAST_WEIGHT)
+
+
 @compiled
 def _sight(
     lenses: Floats,
@@ -209,7 +222,7 @@ def _sight(
             cosine = (dx * normals[i, 0] + dy * normals[i, 1] + dz * normals[i, 2]) / distance
             if cosine <= MIN_COSINE:
                 continue
-            if n == most and cosine - MIN_COSINE + 0.1 <= weights[i, n - 1]:
+            if n == most and cosine - MIN_COSINE + LEAST_WEIGHT <= weights[i, n - 1]:
                 continue
             u, v, depth = project_into(lenses[view], R[view], t_mm[view], x, y, z)
             patch_px = reach_mm * lenses[view, 0] / depth
@@ -228,7 +241,7 @@ def _sight(
                     break
             if not is_seen:
                 continue
-            weight = np.float32(cosine - MIN_COSINE + 0.1)
+            weight = np.float32(cosine - MIN_COSINE + LEAST_WEIGHT)
             place = min(n, most - 1)
             while place > 0 and weights[i, place - 1] < weight:
                 weights[i, place], chosen[i, place] = weights[i, place - 1], chosen[i, place - 1]
