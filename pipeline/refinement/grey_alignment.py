@@ -105,7 +105,7 @@ def _shifts(nodes: Nodes, gate: Values, anchors: Values, views: PhotoViews) -> V
     greys, slopes = np.zeros((2, len(shifts_mm), len(images)), np.float32)
     evidence, pulls = np.zeros((2, len(shifts_mm)))
     around = None
-    below_mm = _below(nodes, seen_by, weights, views)
+    below_mm = gate * _below(nodes, seen_by, weights, views)  # not where the surface is sharp, not curved
     for _ in range(N_ROUNDS):
         points_mm = nodes.points_mm + (shifts_mm - below_mm)[:, None] * nodes.normals
         _look(
