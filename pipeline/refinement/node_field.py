@@ -99,7 +99,9 @@ def flat_gate(nodes: Nodes, touches: Values) -> Values:
     _close(nodes.points_mm, nodes.normals, nodes.neighbours, nodes.at_edge, touches, closed)
     has = nodes.neighbours >= 0
     # their patches reach over it
-    return 1 - np.maximum(closed, np.where(has, closed[nodes.neighbours], 0.0).max(axis=1))
+    gate = 1 - np.maximum(closed, np.where(has, closed[nodes.neighbours], 0.0).max(axis=1))
+    # a node at a corner, all of whose neighbours are at edges, is on no face either
+    return np.minimum(gate, np.where(has, gate[nodes.neighbours], 0.0).max(axis=1))
 
 
 @compiled

@@ -3,7 +3,14 @@
 import numpy as np
 from unit.pipeline.refinement.test_nodes import SPACING_MM, ball, nodes_of
 
-from pipeline.refinement.node_field import CHANCE_MM, SPIKE_MM, beyond_chance, depths_of, without_spikes
+from pipeline.refinement.node_field import (
+    CHANCE_MM,
+    SPIKE_MM,
+    beyond_chance,
+    depths_of,
+    flat_gate,
+    without_spikes,
+)
 
 
 def test_a_node_that_is_deep_alone_is_put_beside_its_neighbours_and_a_dent_stays():
@@ -43,3 +50,15 @@ def test_a_depth_at_the_end_of_those_tried_is_no_peak():
     found_mm, _, is_peak = depths_of(1 - scores, scores, depths_mm, nodes, np.ones(len(peaks_mm)))
     np.testing.assert_array_equal(is_peak, peaks_mm < 0.35)
     np.testing.assert_allclose(found_mm, np.where(is_peak, peaks_mm, 0.35), atol=0.01)
+
+
+def test_a_node_all_of_whose_neighbours_are_near_edges_lies_on_no_face_either():
+    """As at the corner of a cube, where a lone node of the rounding would follow the texture of three faces."""
+    nodes = nodes_of(ball())
+    near = nodes.neighbours[0][nodes.neighbours[0] >= 0]
+    around = np.setdiff1d(nodes.neighbours[near], [-1, 0, *near])
+    at_edge = np.zeros(len(nodes.points_mm), np.bool_)
+    at_edge[around] = True
+    gate = flat_gate(nodes._replace(at_edge=at_edge), np.zeros(len(at_edge)))
+    assert gate[0] == 0
+    assert gate[int(np.argmax(np.linalg.norm(nodes.points_mm - nodes.points_mm[0], axis=1)))] == 1
