@@ -12,6 +12,11 @@ SPREAD = 0.6
 """Standard deviation of the interpolation between nodes, in their spacing."""
 OUTWARD_MM = 0.08
 """Shift outward that is taken for chance: silhouettes say where faces are, and each extreme finds what stands out."""
+INWARD_MM = 0.01
+"""Shift inward of which half is taken for chance, as there is no hull to end it.
+
+Without it volumes of small stones are 0.1 % smaller; with twice of it those of rough ones 0.1 % larger.
+"""
 RELIEF_MM, RELIEF_ROUNDS = 0.02, 40
 """Shifts outward (rms of a wide neighbourhood) where only half of that is, and the smoothing over neighbours.
 
@@ -55,7 +60,9 @@ def vertex_shifts(field: Field, vertices_mm: PointsMM, normals: Directions, room
     lengths_mm = np.linalg.norm(room_mm, axis=1)
     along_mm = np.maximum(np.einsum("vk,vk->v", room_mm, outward), MIN_ALONG * lengths_mm)
     share = np.clip((-inward_mm - chance_mm) / np.maximum(along_mm, 1e-12), 0, 1)
-    return np.asarray(share[:, None] * room_mm - np.maximum(inward_mm, 0.0)[:, None] * outward)
+    inward_mm = np.maximum(inward_mm, 0.0)
+    inward_mm *= inward_mm**2 / (inward_mm**2 + INWARD_MM**2)
+    return np.asarray(share[:, None] * room_mm - inward_mm[:, None] * outward)
 
 
 def _unsmoothed(field: Field) -> Values:

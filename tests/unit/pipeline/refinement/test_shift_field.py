@@ -4,7 +4,7 @@ import numpy as np
 from unit.pipeline.refinement.test_nodes import ball, nodes_of
 
 from pipeline.arrays import PointsMM, Values
-from pipeline.refinement.shift_field import OUTWARD_MM, Field, vertex_shifts
+from pipeline.refinement.shift_field import INWARD_MM, OUTWARD_MM, Field, vertex_shifts
 from pipeline.uncertainty import PixelSupport
 
 BALL = ball()
@@ -47,3 +47,10 @@ def test_a_single_node_that_stands_out_is_chance_one_that_lies_deep_is_not():
     highest_mm = along_normals(shifts(-lone, NORMALS)).max()
     assert deepest_mm > 0.05
     assert highest_mm < 0.5 * deepest_mm
+
+
+def test_small_shifts_inward_are_chance_too_and_dents_keep_their_depth():
+    for times, share in ((0.1, 0.01), (1, 0.5), (5, 0.96), (50, 1.0)):
+        inward_mm = times * INWARD_MM * EVERYWHERE
+        found_mm = -along_normals(shifts(inward_mm, NORMALS))
+        np.testing.assert_allclose(found_mm, share * inward_mm[0], rtol=0.03)
