@@ -69,6 +69,21 @@ def test_relief_that_pictures_do_not_show_is_taken_off(wavelength_mm: float) -> 
     assert rms_mm(heights_mm(found_mm)) < 0.4 * rms_mm(heights_mm(wavy_mm))
 
 
+@pytest.mark.parametrize("off_mm", [-0.03, 0.03])
+def test_a_surface_that_is_off_everywhere_is_found(off_mm: float) -> None:
+    """Means of the surroundings that are not found again after a step would hold it."""
+    off_mm_by_vertex = ball().vertices_mm * (1 + off_mm / RADIUS_MM)
+    found_mm = aligned(off_mm_by_vertex, ball().faces, HULL_MM, NO_TOUCHES, views(), 1.0)
+    assert abs(heights_mm(found_mm).mean()) < 0.35 * abs(off_mm)
+
+
+def test_near_the_hull_no_point_moves_further_inward_than_it_may_outward() -> None:
+    wavy_mm = relief(3.0, 0.15)
+    hull_mm = wavy_mm * (1 + 0.004 / RADIUS_MM)
+    found_mm = aligned(wavy_mm, ball().faces, hull_mm, NO_TOUCHES, views(), 1.0)
+    assert np.linalg.norm(found_mm - wavy_mm, axis=1).max() <= 0.0041
+
+
 def test_a_surface_that_is_right_stays() -> None:
     found_mm = aligned(ball().vertices_mm, ball().faces, HULL_MM, NO_TOUCHES, views(), 1.0)
     assert abs(heights_mm(found_mm).mean()) < 0.003

@@ -16,6 +16,7 @@ from support.rendered import SEED, background, rig, simulated
 
 from pipeline.arrays import Greys, Values
 from pipeline.body_measurement import BodyKind
+from pipeline.estimate import estimate_body
 from pipeline.frames import Frame, FrameBundle
 from pipeline.meshing import ParticleMesh
 from pipeline.particle import BodyParameters, ParticleResult, PipelineParameters, measure_bundle
@@ -109,7 +110,11 @@ def changed(gains: Mapping[str, float], missing: tuple[str, ...] = ()) -> tuple[
     result, frames = measured("photo"), exposed(0).bundle.frames
     mesh, greys = greys_of(result)
     other = {camera: _with_gain(frame, gains.get(camera, 1.0)) for camera, frame in frames.items()}
-    again = vertex_greys(mesh, photo_views(other, _views(result, missing), mesh.vertices_mm))
+    assert result.hull is not None
+    estimate = estimate_body(
+        result.hull, _views(result)
+    )  # as its refinement, by which the images are cut out
+    again = vertex_greys(mesh, photo_views(other, _views(result, missing), estimate.mesh.vertices_mm))
     assert again is not None
     assert again.shape == greys.shape
     return greys, again
