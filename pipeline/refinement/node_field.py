@@ -11,9 +11,10 @@ from pipeline.refinement.nodes import MAX_NEIGHBOURS, Nodes, smoothed
 from pipeline.refinement.passes import ALIKE, DOUBTFUL, EVIDENCE, PEAKED, RIDGE, TOUCH_MM
 
 MAX_SLOPE = 2.5
-CHANCE_MM = (0.02, 0.08)
-"""Shifts (mm, rms of a neighbourhood) that patches have by chance, with full confidence and with none."""
-CHANCE_ROUNDS = 4
+CHANCE_MM = (0.017, 0.068)
+"""Mean size of shifts that surfaces have by chance, with full confidence and with none."""
+CHANCE_ROUNDS = 40
+"""Smoothings for that mean: of relief there is more around, a hump on an even face stands alone."""
 SPIKE_MM = 0.03
 """Distance of a node from the median of its neighbours that is chance where they agree."""
 SPIKE_SPREADS = 2.0
@@ -182,5 +183,5 @@ def beyond_chance(shifts_mm: Values, sure: Values, nodes: Nodes) -> Values:
     Twice as large, they stay.
     """
     chance_mm = CHANCE_MM[1] + np.minimum(sure, 1) * (CHANCE_MM[0] - CHANCE_MM[1])
-    energy_mm2 = smoothed(nodes, shifts_mm**2, CHANCE_ROUNDS)
-    return np.asarray(shifts_mm * energy_mm2**2 / (energy_mm2**2 + chance_mm**4))
+    sizes_mm = smoothed(nodes, np.abs(shifts_mm), CHANCE_ROUNDS)
+    return np.asarray(shifts_mm * sizes_mm**4 / (sizes_mm**4 + chance_mm**4))

@@ -42,6 +42,17 @@ def test_shifts_by_chance_vanish_and_larger_ones_stay():
         assert low - 1e-9 <= share.min() <= share.max() <= high + 1e-9
 
 
+def test_a_hump_alone_on_an_even_face_is_chance_and_amid_others_it_stays():
+    nodes = nodes_of(ball())
+    is_hump = np.linalg.norm(nodes.points_mm - nodes.points_mm[0], axis=1) < 1.5 * SPACING_MM
+    assert is_hump.sum() > 4
+    for roughness_mm, low, high in ((0.004, 0, 0.3), (0.06, 0.95, 1)):
+        rough_mm = np.random.default_rng(0).normal(0, roughness_mm, len(is_hump))
+        shifts_mm = np.where(is_hump, 0.05, rough_mm)
+        left = beyond_chance(shifts_mm, np.ones(len(is_hump)), nodes)[is_hump] / 0.05
+        assert low <= left.min() <= left.max() <= high
+
+
 def test_a_depth_at_the_end_of_those_tried_is_no_peak():
     nodes = nodes_of(ball())
     depths_mm = np.linspace(-0.35, 0.35, 8)
