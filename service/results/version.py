@@ -95,7 +95,7 @@ CHANGES: Mapping[str, tuple[str, str]] = {
     ),
     "21": (
         "each point of the refined surface is aligned to its grey levels by itself; dents are searched again in "
-        "three rounds",
+        "two rounds; a hump alone on an even face is chance",
         "stones of real rock 0.038 -> 0.032 mm, of its surface off by more than 0.3 mm 1.0 -> 0.7 %",
     ),
 }
