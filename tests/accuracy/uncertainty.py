@@ -290,10 +290,12 @@ def forms_table(rows: Sequence[Row]) -> Table:
             ]
             measured = [row for row in own if row.error_mm is not None]
             words = Counter(row.quality or "rejected" for row in own)
-            error_mm = np.mean([row.error_mm for row in measured]) if measured else np.nan
-            percent = np.mean([row.volume_error_percent for row in measured]) if measured else np.nan
-            said = " ".join(f"{word} {n}" for word, n in words.items())
-            cells.append(f"{error_mm:.3f}, {percent:+.2f}, {said}")
+            cell = [" ".join(f"{word} {n}" for word, n in words.items())]
+            if measured:
+                error_mm = np.mean([row.error_mm for row in measured])
+                percent = np.mean([row.volume_error_percent for row in measured])
+                cell = [f"{error_mm:.3f}", f"{percent:+.2f}", *cell]
+            cells.append(", ".join(cell))
         found.add_row(condition, segmenter, *cells)
     return found
 
