@@ -9,14 +9,13 @@ stereo", IEEE TPAMI 34 (5)). Neighbours hold one another, as in a membrane.
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.arrays import Directions, Faces, Floats, Indices32, PointsMM, Singles, Values
+from pipeline.arrays import Directions, Faces, Flags, Floats, Indices32, Mask, PointsMM, Singles, Values
 from pipeline.compiled import compiled
 from pipeline.refinement.membrane import stretched
 from pipeline.refinement.node_field import beyond_chance, facing, flat_gate, mean_curvatures, touch_weights
 from pipeline.refinement.nodes import Nodes, interpolated, smoothed, spread_nodes, vertex_normals
-from pipeline.refinement.sightings import PhotoViews, cosines_of, depth_maps, project_into, sightings
+from pipeline.refinement.sightings import COARSE, PhotoViews, cosines_of, depth_maps, project_into, sightings
 
 SPACING_MM = 0.23
 """Spacing of the points on a large stone: from 0.15 to 0.23 the error changes by 2 %, the time by half."""
@@ -32,6 +31,8 @@ MOST_MM = 0.15
 """Greatest step: grey levels follow a straight line no further than their grain."""
 BLUR_PX = 0.8
 """Sigma of the blur of the images, against noise; from 0.5 to 1.2 it makes no difference of 2 %."""
+AROUND_PX, VECTOR_PX = 16, 32
+"""Pixels around what a view shows for certain that points may reach as they move; and those computed side by side."""
 BETWEEN_PIXELS = 1 / 6
 """Variance (px2) by which interpolation between pixels blurs on average."""
 MOST_BELOW_MM = 0.03
@@ -98,27 +99,12 @@ def _shifts(nodes: Nodes, gate: Values, anchors: Values, views: PhotoViews) -> V
         nodes.spacing_mm / 2,
         MAX_VIEWS,
     )
-    kernel = cv2.getGaussianKernel(5, BLUR_PX)
-    images = np.empty(views.regions.shape, np.float32)
-    for image, region in zip(images, views.regions, strict=True):
-        cv2.sepFilter2D(region, cv2.CV_32F, kernel, kernel, dst=image)
     shifts_mm = np.zeros(len(nodes.points_mm))
-    greys, slopes = np.zeros((2, len(shifts_mm), len(images)), np.float32)
     evidence, pulls = np.zeros((2, len(shifts_mm)))
     below_mm = gate * _below(nodes, seen_by, weights, views)  # not where the surface is sharp, not curved
     for number in range(N_ROUNDS):
         points_mm = nodes.points_mm + (shifts_mm - below_mm)[:, None] * nodes.normals
-        _look(
-            images,
-            views.lenses,
-            views.R,
-            views.t_mm,
-            points_mm,
-            nodes.normals,
-            seen_by,
-            greys,
-            slopes,
-        )
+        greys, slopes = _looked(views, points_mm, nodes.normals, seen_by)
         if number == 0:
             shares, means, variances, alone = _surroundings(greys, nodes, views.noise)
         else:  # means of the round before would hold each point where it was; the rest stays
@@ -166,52 +152,91 @@ def _means_around(values: Singles, shares: Singles, nodes: Nodes) -> Singles:
     return smoothed(nodes, seen, WINDOW_ROUNDS) / least
 
 
+def _looked(
+    views: PhotoViews, points_mm: PointsMM, normals: Directions, seen_by: Indices32
+) -> tuple[Singles, Singles]:
+    """Return the grey level (K, V) of each point in each view, -1 where it is not seen, and its change per mm outward.
+
+    One view is blurred after the other, as far as it shows the stone: all of them blurred are larger than the caches.
+    """
+    kernel = cv2.getGaussianKernel(5, BLUR_PX)
+    greys = np.full((len(points_mm), len(views.regions)), -1, np.float32)
+    slopes = np.zeros_like(greys)
+    for view, (region, is_inner) in enumerate(zip(views.regions, views.is_inner, strict=True)):
+        rows, columns = _window(is_inner, region.shape)
+        image = np.asarray(cv2.sepFilter2D(region[rows, columns], cv2.CV_32F, kernel, kernel), np.float32)
+        corner = (columns.start, rows.start)
+        camera = (views.lenses[view], views.R[view], views.t_mm[view])
+        _look(
+            image,
+            corner,
+            *camera,
+            points_mm,
+            normals,
+            (seen_by == view).any(axis=1),
+            greys[:, view],
+            slopes[:, view],
+        )
+    return greys, slopes
+
+
+def _window(is_inner: Mask, size: tuple[int, ...]) -> tuple[slice, slice]:
+    """Return rows and columns of a region of this size (H, W) in which a view shows points that it sees."""
+    window = []
+    for flags, n_pixels in zip((is_inner.any(axis=1), is_inner.any(axis=0)), size, strict=True):
+        at = np.flatnonzero(flags) if flags.any() else np.zeros(1, np.int64)
+        first, last = COARSE * int(at[0]) - AROUND_PX, COARSE * int(at[-1] + 1) + AROUND_PX
+        # rounded: where a vector instruction ends, pixels are rounded as in the whole image
+        window.append(
+            slice(max(first // VECTOR_PX * VECTOR_PX, 0), min(-(-last // VECTOR_PX) * VECTOR_PX, n_pixels))
+        )
+    return window[0], window[1]
+
+
 @compiled
 def _look(
-    images: NDArray[np.float32],
-    lenses: Floats,
+    image: Singles,
+    corner: tuple[int, int],
+    lens: Values,
     R: Floats,
-    t_mm: PointsMM,
+    t: Values,
     points_mm: PointsMM,
     normals: Directions,
-    seen_by: Indices32,
+    is_seen: Flags,
     greys: Singles,
     slopes: Singles,
 ) -> None:
-    """Fill in the grey level of each point in each view, -1 where it is not seen, and its change per mm outward.
+    """Fill in what one view shows of the points (K,) that it sees.
 
     For the change the lens is taken for ideal: distortion makes it wrong by a percent at most.
     """
-    height, width = images.shape[1], images.shape[2]
-    greys[:] = -1
+    height, width = image.shape
     for i in range(len(points_mm)):
+        if not is_seen[i]:
+            continue
         x, y, z = points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
-        for place in range(seen_by.shape[1]):
-            view = seen_by[i, place]
-            if view < 0:
-                break
-            u, v, depth = project_into(lenses[view], R[view], t_mm[view], x, y, z)
-            column, row = int(u), int(v)
-            if column < 0 or row < 0 or column > width - 2 or row > height - 2:
-                continue
-            A, t, lens = R[view], t_mm[view], lenses[view]
-            away = (A[2, 0] * nx + A[2, 1] * ny + A[2, 2] * nz) / depth
-            right_mm = A[0, 0] * x + A[0, 1] * y + A[0, 2] * z + t[0]
-            down_mm = A[1, 0] * x + A[1, 1] * y + A[1, 2] * z + t[1]
-            u_per_mm = lens[0] * (A[0, 0] * nx + A[0, 1] * ny + A[0, 2] * nz - right_mm * away) / depth
-            v_per_mm = lens[3] * (A[1, 0] * nx + A[1, 1] * ny + A[1, 2] * nz - down_mm * away) / depth
-            right, below, image = u - column, v - row, images[view]
-            a, b, c, d = (
-                image[row, column],
-                image[row, column + 1],
-                image[row + 1, column],
-                image[row + 1, column + 1],
-            )
-            top, bottom = a + right * (b - a), c + right * (d - c)
-            du, dv = (1 - below) * (b - a) + below * (d - c), bottom - top
-            greys[i, view] = top + below * (bottom - top)
-            slopes[i, view] = du * u_per_mm + dv * v_per_mm
+        u, v, depth = project_into(lens, R, t, x, y, z)
+        column, row = int(u), int(v)
+        right, below = u - column, v - row
+        column, row = column - corner[0], row - corner[1]
+        if column < 0 or row < 0 or column > width - 2 or row > height - 2:
+            continue
+        away = (R[2, 0] * nx + R[2, 1] * ny + R[2, 2] * nz) / depth
+        right_mm = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
+        down_mm = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
+        u_per_mm = lens[0] * (R[0, 0] * nx + R[0, 1] * ny + R[0, 2] * nz - right_mm * away) / depth
+        v_per_mm = lens[3] * (R[1, 0] * nx + R[1, 1] * ny + R[1, 2] * nz - down_mm * away) / depth
+        a, b, c, d = (
+            image[row, column],
+            image[row, column + 1],
+            image[row + 1, column],
+            image[row + 1, column + 1],
+        )
+        top, bottom = a + right * (b - a), c + right * (d - c)
+        du, dv = (1 - below) * (b - a) + below * (d - c), bottom - top
+        greys[i] = top + below * (bottom - top)
+        slopes[i] = du * u_per_mm + dv * v_per_mm
 
 
 @compiled
