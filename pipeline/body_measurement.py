@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from pipeline.carving import CarvingParameters
 from pipeline.estimate import BodyEstimate
@@ -16,6 +15,7 @@ from pipeline.measuring.shape import NO_POINTS
 from pipeline.measuring.volume_correction import SYNTHETIC, VolumeModel
 from pipeline.meshing import ParticleMesh
 from pipeline.refinement import Refinement
+from pipeline.refinement.cells import nearest_within
 from pipeline.rig.cameras import RigCalibration
 from pipeline.segmentation import Silhouette
 from pipeline.uncertainty import Uncertainty, uncertainty
@@ -152,7 +152,7 @@ def measure_body(
     pixels = UNSUPPORTED if refinement is None else refinement.support
     corners_mm = NO_POINTS if estimate is None else estimate.corners_mm
     if estimate is not None and refinement is not None and refinement.fallback is None:
-        near_mm, _ = cKDTree(mesh.vertices_mm).query(corners_mm, distance_upper_bound=CUT_MM)
+        near_mm = nearest_within(corners_mm, mesh.vertices_mm, CUT_MM)
         corners_mm = corners_mm[estimate.is_seen & np.isfinite(near_mm)]
     around_mm = NO_POINTS if mesh is body.hull else body.hull.vertices_mm
     shape = measure_shape(mesh.vertices_mm, mesh.faces, corners_mm, around_mm)

@@ -72,6 +72,36 @@ def find_near(cells: Cells, center_mm: Vector, reach_mm: float, found: Indices, 
     return n
 
 
+def nearest_within(points_mm: PointsMM, others_mm: PointsMM, reach_mm: float) -> Values:
+    """Return the distance (N,) of each point (N, 3) to the nearest of the others (M, 3); infinite beyond the reach."""
+    distances_mm = np.full(len(points_mm), np.inf)
+    if len(others_mm):
+        _find_nearest(points_mm, sort_into_cells(others_mm, 2 * reach_mm), reach_mm, distances_mm)
+    return distances_mm
+
+
+@compiled
+def _find_nearest(points_mm: PointsMM, cells: Cells, reach_mm: float, distances_mm: Values) -> None:
+    sorted_mm = cells.sorted_mm
+    for i in range(len(points_mm)):
+        x, y, z = points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
+        x0, x1 = _cell_range(cells, x, 0, reach_mm)
+        y0, y1 = _cell_range(cells, y, 1, reach_mm)
+        z0, z1 = _cell_range(cells, z, 2, reach_mm)
+        nearest2 = reach_mm * reach_mm
+        for cx in range(x0, x1 + 1):
+            for cy in range(y0, y1 + 1):
+                row = (cx * cells.counts[1] + cy) * cells.counts[2]
+                for at in range(cells.starts[row + z0], cells.starts[row + z1 + 1]):
+                    d2 = (
+                        (sorted_mm[at, 0] - x) ** 2
+                        + (sorted_mm[at, 1] - y) ** 2
+                        + (sorted_mm[at, 2] - z) ** 2
+                    )
+                    if d2 < nearest2:
+                        nearest2, distances_mm[i] = d2, np.sqrt(d2)
+
+
 @compiled_within
 def _cell_range(cells: Cells, x_mm: float, axis: int, reach_mm: float) -> tuple[int, int]:
     """Return the first and the last cell along an axis that a reach around a coordinate meets."""

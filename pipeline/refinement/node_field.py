@@ -3,10 +3,10 @@
 from typing import Annotated
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from pipeline.arrays import Directions, Flags, Floats, Indices32, PointsMM, Singles, Values
 from pipeline.compiled import compiled
+from pipeline.refinement.cells import nearest_within
 from pipeline.refinement.nodes import MAX_NEIGHBOURS, Nodes, smoothed
 from pipeline.refinement.passes import ALIKE, DOUBTFUL, EVIDENCE, PEAKED, RIDGE, TOUCH_MM
 
@@ -134,9 +134,7 @@ def _close(
 
 def touch_weights(points_mm: PointsMM, touches_mm: PointsMM) -> Values:
     """Return 1 for points (K,) where a tangent ray touches, less beside it, 0 far from all."""
-    if not len(touches_mm):
-        return np.zeros(len(points_mm))
-    distances_mm = cKDTree(touches_mm).query(points_mm, distance_upper_bound=3 * TOUCH_MM)[0]
+    distances_mm = nearest_within(points_mm, touches_mm, 3 * TOUCH_MM)
     return np.asarray(np.exp(-((distances_mm / TOUCH_MM) ** 2)))
 
 
