@@ -118,10 +118,34 @@ def widened(flags: Flags, nodes: Nodes) -> Flags:
 
 def smoothed(nodes: Nodes, values: Reals, n_rounds: int) -> Reals:
     """Return values (K, ...), each the mean of a node's own and its neighbours', smoothed so many times."""
+    if values.ndim == 1:
+        return _smoothed(values, nodes.neighbours, n_rounds)
     means = np.ascontiguousarray(values).reshape(len(values), -1)
     for _ in range(n_rounds):
         means = _mean_around(means, nodes.neighbours)
     return means.reshape(values.shape)
+
+
+@compiled
+def _smoothed(values: Reals, neighbours: Indices32, n_rounds: int) -> Reals:
+    """Return values (K,) smoothed in all rounds; a last one, always 0, is added where a node has no neighbour."""
+    n_nodes = len(values)
+    links, counts = np.empty(neighbours.shape, np.uint32), np.ones(n_nodes)
+    for i in range(n_nodes):
+        for k in range(MAX_NEIGHBOURS):
+            j = neighbours[i, k]
+            links[i, k] = j if j >= 0 else n_nodes
+            counts[i] += j >= 0
+    means, before = np.zeros(n_nodes + 1, values.dtype), np.zeros(n_nodes + 1, values.dtype)
+    means[:n_nodes] = values
+    for _ in range(n_rounds):
+        means, before = before, means
+        for i in range(n_nodes):
+            total = before[i]
+            for k in range(MAX_NEIGHBOURS):
+                total += before[links[i, k]]
+            means[i] = total / counts[i]
+    return means[:n_nodes]
 
 
 @compiled
