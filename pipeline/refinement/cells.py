@@ -10,7 +10,10 @@ from pipeline.geometry.bounds import bounds
 
 
 class Cells(NamedTuple):
-    """Points by cell: those of cell c are `order[starts[c] : starts[c + 1]]`, and so are `sorted_mm`."""
+    """Points by cell: those of cell c are `order[starts[c] : starts[c + 1]]`, and so are `sorted_mm`.
+
+    The place of a point is its index in this order.
+    """
 
     low_mm: Vector
     edge_mm: float
@@ -25,14 +28,20 @@ def sort_into_cells(points_mm: PointsMM, edge_mm: float) -> Cells:
     low_mm, high_mm = bounds(points_mm)
     counts = np.floor((high_mm - low_mm) / edge_mm).astype(np.int64) + 1
     starts = np.zeros(counts.prod() + 1, np.int64)
-    order = np.empty(len(points_mm), np.int64)
-    _sort(points_mm, low_mm, edge_mm, counts, starts, order)
-    return Cells(low_mm, edge_mm, counts, starts, order, points_mm[order])
+    order, sorted_mm = np.empty(len(points_mm), np.int64), np.empty((len(points_mm), 3))
+    _sort(points_mm, low_mm, edge_mm, counts, starts, order, sorted_mm)
+    return Cells(low_mm, edge_mm, counts, starts, order, sorted_mm)
 
 
 @compiled
 def _sort(
-    points_mm: PointsMM, low_mm: Vector, edge_mm: float, counts: Indices, starts: Indices, order: Indices
+    points_mm: PointsMM,
+    low_mm: Vector,
+    edge_mm: float,
+    counts: Indices,
+    starts: Indices,
+    order: Indices,
+    sorted_mm: PointsMM,
 ) -> None:
     """Count the points of each cell, then put each point into its place: a third of the time of `np.argsort`."""
     owners = np.empty(len(points_mm), np.int64)
@@ -46,17 +55,21 @@ def _sort(
         starts[cell + 1] += starts[cell]
     places = starts.copy()
     for i in range(len(points_mm)):
-        order[places[owners[i]]] = i
+        place = places[owners[i]]
         places[owners[i]] += 1
+        order[place] = i
+        for axis in range(3):
+            sorted_mm[place, axis] = points_mm[i, axis]
 
 
 @compiled_within
 def find_near(cells: Cells, center_mm: Vector, reach_mm: float, found: Indices, distances2: Values) -> int:
-    """Fill in the points within a reach of a place and their squared distances (mm2); return how many these are.
+    """Fill in the places of points within a reach and their squared distances (mm2); return how many these are.
 
-    `found` and `distances2` (N,) are room for all points of the cells.
+    `found` and `distances2` (N + 1,) are room for all points of the cells and one more: each point is filled in, and
+    counts only if it is near, which is quicker than to ask first.
     """
-    n, sorted_mm = 0, cells.sorted_mm
+    n, sorted_mm, reach2 = 0, cells.sorted_mm, reach_mm * reach_mm
     x, y, z = center_mm[0], center_mm[1], center_mm[2]
     x0, x1 = _cell_range(cells, x, 0, reach_mm)
     y0, y1 = _cell_range(cells, y, 1, reach_mm)
@@ -66,9 +79,8 @@ def find_near(cells: Cells, center_mm: Vector, reach_mm: float, found: Indices, 
             row = (cx * cells.counts[1] + cy) * cells.counts[2]
             for at in range(cells.starts[row + z0], cells.starts[row + z1 + 1]):
                 d2 = (sorted_mm[at, 0] - x) ** 2 + (sorted_mm[at, 1] - y) ** 2 + (sorted_mm[at, 2] - z) ** 2
-                if d2 < reach_mm * reach_mm:
-                    found[n], distances2[n] = cells.order[at], d2
-                    n += 1
+                found[n], distances2[n] = at, d2
+                n += d2 < reach2
     return n
 
 

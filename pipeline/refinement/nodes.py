@@ -85,16 +85,16 @@ def spread_nodes(
     They are taken in `order` (N,), or as they come; of two on opposite sides of a thin place both may be nodes.
     """
     cells = sort_into_cells(points_mm, CELL * spacing_mm)
-    is_free = np.ones(len(points_mm), np.bool_)
-    chosen = np.empty(len(points_mm), np.int64)
-    order = np.arange(len(points_mm)) if order is None else order
-    chosen = np.sort(chosen[: _choose(points_mm, normals, order, cells, spacing_mm, is_free, chosen)])
+    chosen, places = np.empty((2, len(points_mm)), np.int64)
+    places[cells.order] = np.arange(len(points_mm))
+    places = places if order is None else places[order]
+    chosen = np.sort(chosen[: _choose(normals[cells.order], places, cells, spacing_mm, chosen)])
     nodes_mm = np.ascontiguousarray(points_mm[chosen])
     node_normals = np.ascontiguousarray(normals[chosen])
     neighbours = np.full((len(chosen), MAX_NEIGHBOURS), -1, np.int32)
     at_edge = np.zeros(len(chosen), np.bool_)
     cells = sort_into_cells(nodes_mm, CELL * spacing_mm)
-    _link(nodes_mm, node_normals, cells, spacing_mm, neighbours, at_edge)
+    _link(node_normals[cells.order], cells, spacing_mm, neighbours, at_edge)
     return Nodes(chosen, nodes_mm, node_normals, neighbours, spacing_mm, at_edge)
 
 
@@ -165,60 +165,51 @@ def _mean_around(values: Annotated[Reals, "(K, C)"], neighbours: Indices32) -> A
 
 
 @compiled
-def _choose(
-    points_mm: PointsMM,
-    normals: Directions,
-    order: Indices,
-    cells: Cells,
-    spacing_mm: float,
-    is_free: Flags,
-    chosen: Indices,
-) -> int:
-    n_chosen = 0
-    near, distances2 = np.empty(len(points_mm), np.int64), np.empty(len(points_mm))
-    for i in order:
-        if not is_free[i]:
+def _choose(normals: Directions, places: Indices, cells: Cells, spacing_mm: float, chosen: Indices) -> int:
+    """Fill in the chosen points, taken by their places in the cells; normals are in the cells' order."""
+    n_chosen, is_free = 0, np.ones(len(places), np.bool_)
+    near, distances2 = np.empty(len(places) + 1, np.int64), np.empty(len(places) + 1)
+    for place in places:
+        if not is_free[place]:
             continue
-        chosen[n_chosen] = i
+        chosen[n_chosen] = cells.order[place]
         n_chosen += 1
-        for at in range(find_near(cells, points_mm[i], spacing_mm, near, distances2)):
-            if cosine(normals[i], normals[near[at]]) > SAME_SIDE:
+        for at in range(find_near(cells, cells.sorted_mm[place], spacing_mm, near, distances2)):
+            if cosine(normals[place], normals[near[at]]) > SAME_SIDE:
                 is_free[near[at]] = False
-        is_free[i] = False
+        is_free[place] = False
     return n_chosen
 
 
 @compiled
 def _link(
-    points_mm: PointsMM,
-    normals: Directions,
-    cells: Cells,
-    spacing_mm: float,
-    neighbours: Indices32,
-    at_edge: Flags,
+    normals: Directions, cells: Cells, spacing_mm: float, neighbours: Indices32, at_edge: Flags
 ) -> None:
-    """Fill in the nearest nodes of each, and which of them have one beyond an edge."""
-    near, distances2 = np.empty(len(points_mm), np.int64), np.empty(len(points_mm))
+    """Fill in the nearest nodes of each, and which of them have one beyond an edge; normals are in the cells' order."""
+    points_mm, n_nodes = cells.sorted_mm, len(normals)
+    near, distances2 = np.empty(n_nodes + 1, np.int64), np.empty(n_nodes + 1)
     nearest2 = np.empty(MAX_NEIGHBOURS)
-    for i in range(len(points_mm)):
-        n = 0
-        for at in range(find_near(cells, points_mm[i], NEIGHBOURS_WITHIN * spacing_mm, near, distances2)):
-            j, d2 = near[at], distances2[at]
-            if j == i:
+    for place in range(n_nodes):
+        i, n = cells.order[place], 0
+        for at in range(find_near(cells, points_mm[place], NEIGHBOURS_WITHIN * spacing_mm, near, distances2)):
+            other, d2 = near[at], distances2[at]
+            if other == place:
                 continue
-            if cosine(normals[i], normals[j]) <= SAME_SIDE:
-                if d2 <= (EDGE_WITHIN * spacing_mm) ** 2 and _has_edge_between(points_mm, normals, i, j):
+            if cosine(normals[place], normals[other]) <= SAME_SIDE:
+                if d2 <= (EDGE_WITHIN * spacing_mm) ** 2 and _has_edge_between(
+                    points_mm, normals, place, other
+                ):
                     at_edge[i] = True
                 continue
             if n == MAX_NEIGHBOURS and d2 >= nearest2[n - 1]:
                 continue
-            place = min(n, MAX_NEIGHBOURS - 1)
-            while place > 0 and nearest2[place - 1] > d2:
-                nearest2[place] = nearest2[place - 1]
-                neighbours[i, place] = neighbours[i, place - 1]
-                place -= 1
-            nearest2[place] = d2
-            neighbours[i, place] = j
+            rank = min(n, MAX_NEIGHBOURS - 1)
+            while rank > 0 and nearest2[rank - 1] > d2:
+                nearest2[rank] = nearest2[rank - 1]
+                neighbours[i, rank] = neighbours[i, rank - 1]
+                rank -= 1
+            nearest2[rank] = d2
+            neighbours[i, rank] = cells.order[other]
             n = min(n + 1, MAX_NEIGHBOURS)
 
 
@@ -246,11 +237,7 @@ def interpolated(
 ) -> Annotated[Floats, "(N, C)"]:
     """Return values at points of the surface (N, 3): means of those of the nodes around, by weight and a Gaussian."""
     cells = sort_into_cells(nodes.points_mm, REACH_SDS * sd_mm)
-    order = cells.order
-    rows = np.column_stack([nodes.normals, weights, values])[
-        order
-    ]  # what is looked at together lies together
-    cells = cells._replace(order=np.arange(len(order)))
+    rows = np.column_stack([nodes.normals, weights, values])[cells.order]
     found = np.zeros((len(points_mm), values.shape[1]))
     _interpolate(points_mm, normals, rows, cells, sd_mm, found)
     return found
@@ -265,9 +252,9 @@ def _interpolate(
     sd_mm: float,
     found: Floats,
 ) -> None:
-    """Fill in the means of what nodes have behind their normal and their weight."""
+    """Fill in the means of what nodes, in the cells' order, have behind their normal and their weight."""
     reach_mm = REACH_SDS * sd_mm
-    near, distances2 = np.empty(len(rows), np.int64), np.empty(len(rows))
+    near, distances2 = np.empty(len(rows) + 1, np.int64), np.empty(len(rows) + 1)
     for i in range(len(points_mm)):
         total, x, y, z = 0.0, normals[i, 0], normals[i, 1], normals[i, 2]
         for at in range(find_near(cells, points_mm[i], reach_mm, near, distances2)):
