@@ -10,7 +10,7 @@ stereo", IEEE TPAMI 34 (5)). Neighbours hold one another, as in a membrane.
 import cv2
 import numpy as np
 
-from pipeline.arrays import Directions, Faces, Flags, Floats, Indices32, Mask, PointsMM, Singles, Values
+from pipeline.arrays import Directions, Faces, Floats, Indices32, Mask, PointsMM, Singles, Values
 from pipeline.compiled import compiled
 from pipeline.refinement.membrane import stretched
 from pipeline.refinement.node_field import beyond_chance, facing, flat_gate, mean_curvatures, touch_weights
@@ -173,7 +173,8 @@ def _looked(
             *camera,
             points_mm,
             normals,
-            (seen_by == view).any(axis=1),
+            seen_by,
+            view,
             greys[:, view],
             slopes[:, view],
         )
@@ -202,7 +203,8 @@ def _look(
     t: Values,
     points_mm: PointsMM,
     normals: Directions,
-    is_seen: Flags,
+    seen_by: Indices32,
+    view: int,
     greys: Singles,
     slopes: Singles,
 ) -> None:
@@ -212,7 +214,10 @@ def _look(
     """
     height, width = image.shape
     for i in range(len(points_mm)):
-        if not is_seen[i]:
+        is_seen = False
+        for place in range(seen_by.shape[1]):
+            is_seen |= seen_by[i, place] == view
+        if not is_seen:
             continue
         x, y, z = points_mm[i, 0], points_mm[i, 1], points_mm[i, 2]
         nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]

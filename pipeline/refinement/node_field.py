@@ -5,7 +5,7 @@ from typing import Annotated
 import numpy as np
 
 from pipeline.arrays import Directions, Flags, Floats, Indices32, PointsMM, Singles, Values
-from pipeline.compiled import compiled
+from pipeline.compiled import compiled, compiled_within
 from pipeline.refinement.cells import nearest_within
 from pipeline.refinement.nodes import MAX_NEIGHBOURS, Nodes, smoothed
 from pipeline.refinement.passes import ALIKE, DOUBTFUL, EVIDENCE, PEAKED, RIDGE, TOUCH_MM
@@ -23,33 +23,52 @@ SPIKE_SPREADS = 2.0
 
 def tangent_axes(normals: Directions) -> Annotated[Floats, "(K, 2, 3)"]:
     """Return two unit vectors across each normal (K, 3), and to each other."""
-    helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = np.cross(normals, helper)
-    first /= np.linalg.norm(first, axis=1)[:, None]
-    return np.stack([first, np.cross(normals, first)], axis=1)
+    axes = np.empty((len(normals), 2, 3))
+    _span(normals, axes)
+    return axes
+
+
+@compiled
+def _span(normals: Directions, axes: Annotated[Floats, "(K, 2, 3)"]) -> None:
+    for i in range(len(normals)):
+        first, second = _axes_of(normals[i, 0], normals[i, 1], normals[i, 2])
+        for k in range(3):
+            axes[i, 0, k], axes[i, 1, k] = first[k], second[k]
+
+
+@compiled_within
+def _axes_of(x: float, y: float, z: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Return two unit vectors across a normal, the first of them across an axis of the world as well."""
+    a, b, c = _cross(x, y, z, 1.0, 0.0, 0.0) if abs(x) < 0.7 else _cross(x, y, z, 0.0, 1.0, 0.0)
+    length = np.sqrt(a * a + b * b + c * c)
+    a, b, c = a / length, b / length, c / length
+    return (a, b, c), _cross(x, y, z, a, b, c)
+
+
+@compiled_within
+def _cross(x: float, y: float, z: float, a: float, b: float, c: float) -> tuple[float, float, float]:
+    return y * c - z * b, z * a - x * c, x * b - y * a
 
 
 def facing(points_mm: PointsMM, nodes: Nodes) -> Directions:
     """Return the normals (K, 3) of the shifted surface: of planes through each node by its neighbours."""
-    axes, slopes = tangent_axes(nodes.normals), np.empty((len(points_mm), 2))
     ridge_mm2 = 0.05 * nodes.spacing_mm**2  # of the regression: a node with few neighbours keeps its normal
-    _fit_slopes(points_mm, nodes.normals, axes, nodes.neighbours, ridge_mm2, slopes)
-    slopes = np.clip(slopes, -MAX_SLOPE, MAX_SLOPE)
-    normals = nodes.normals - slopes[:, :1] * axes[:, 0] - slopes[:, 1:] * axes[:, 1]
-    return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
+    turned = np.empty((len(points_mm), 3))
+    _fit_planes(points_mm, nodes.normals, nodes.neighbours, ridge_mm2, turned)
+    return turned
 
 
 @compiled
-def _fit_slopes(
+def _fit_planes(
     points_mm: PointsMM,
     normals: Directions,
-    axes: Annotated[Floats, "(K, 2, 3)"],
     neighbours: Indices32,
     ridge_mm2: float,
-    slopes: Annotated[Floats, "(K, 2)"],
+    turned: Directions,
 ) -> None:
-    """Fill in how steeply the neighbours of each node rise along its axes, by least squares."""
+    """Fill in the normal of each node's plane: least squares say how steeply its neighbours rise."""
     for i in range(len(points_mm)):
+        first, second = _axes_of(normals[i, 0], normals[i, 1], normals[i, 2])
         ss, st, tt, sh, th = ridge_mm2, 0.0, ridge_mm2, 0.0, 0.0
         for k in range(MAX_NEIGHBOURS):
             j = neighbours[i, k]
@@ -58,12 +77,18 @@ def _fit_slopes(
             s = t = h = 0.0
             for axis in range(3):
                 offset_mm = points_mm[j, axis] - points_mm[i, axis]
-                s += offset_mm * axes[i, 0, axis]
-                t += offset_mm * axes[i, 1, axis]
+                s += offset_mm * first[axis]
+                t += offset_mm * second[axis]
                 h += offset_mm * normals[i, axis]
             ss, st, tt, sh, th = ss + s * s, st + s * t, tt + t * t, sh + s * h, th + t * h
-        slopes[i, 0] = (tt * sh - st * th) / (ss * tt - st * st)
-        slopes[i, 1] = (ss * th - st * sh) / (ss * tt - st * st)
+        along_first = min(max((tt * sh - st * th) / (ss * tt - st * st), -MAX_SLOPE), MAX_SLOPE)
+        along_second = min(max((ss * th - st * sh) / (ss * tt - st * st), -MAX_SLOPE), MAX_SLOPE)
+        length2 = 0.0
+        for axis in range(3):
+            turned[i, axis] = normals[i, axis] - along_first * first[axis] - along_second * second[axis]
+            length2 += turned[i, axis] * turned[i, axis]
+        for axis in range(3):
+            turned[i, axis] /= np.sqrt(length2)
 
 
 def mean_curvatures(nodes: Nodes) -> Values:
