@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Directions, Floats, Indices32, PointsMM, Singles, Values
 from pipeline.compiled import compiled, compiled_within
 from pipeline.refinement.passes import N_SAMPLES, NOISE_LEFT, UNLIKE_SHARE, Pass
-from pipeline.refinement.sightings import PhotoViews, project_into
+from pipeline.refinement.sightings import PhotoViews, four_pixels, project_into
 
 
 def patch_samples(n_samples: int) -> tuple[Values, Values]:
@@ -46,7 +46,8 @@ def patch_scores(
     noise2 = np.concatenate([NOISE_LEFT[each.scale] * views.noise, unlike2], axis=1)
     scores = np.zeros((len(patches.points_mm), len(depths_mm)), np.float32)
     _score(
-        views.regions if each.scale == 1 else views.halves,
+        views.regions,
+        views.halves,
         views.lenses,
         views.R,
         views.t_mm,
@@ -68,7 +69,8 @@ def patch_scores(
 
 @compiled
 def _score(
-    images: NDArray[np.uint8],
+    regions: NDArray[np.uint8],
+    halves: Annotated[Indices32, "(V, H / 2, W / 2)"],
     lenses: Floats,
     R: Floats,
     t_mm: PointsMM,
@@ -86,13 +88,14 @@ def _score(
     scores: Singles,
 ) -> None:
     most, n_samples, n_depths = seen_by.shape[1], len(offsets_mm), len(depths_mm)
-    height, width = images.shape[1], images.shape[2]
-    flat = images.reshape(len(images), height * width)
+    is_half = scale != 1
+    height, width = halves.shape[1:] if is_half else regions.shape[1:]
+    pixels, fours = regions.reshape(len(regions), -1), halves.reshape(len(halves), -1)
     greys = np.empty((most, n_samples, n_depths), np.float32)
     room = _Room(
         np.empty(n_samples * n_depths, np.int32),
         np.empty((2, n_samples * n_depths), np.float32),
-        np.empty((4, n_samples * n_depths), np.int32),
+        np.empty(n_samples * n_depths, np.int32),
     )
     noises2, inverse_sd = np.empty((2, most, n_depths), np.float32)
     at_u, at_v = np.empty(n_depths, np.float32), np.empty(n_depths, np.float32)
@@ -145,7 +148,12 @@ def _score(
                 continue
             is_used[k] = True
             n_used += 1
-            _sample(flat[view], width, at_u, at_v, (ua, va, ub, vb), offsets_mm, room, greys[k])
+            _place(width, at_u, at_v, (ua, va, ub, vb), offsets_mm, room)
+            if is_half:
+                _gather(fours[view], room)
+            else:
+                _gather_whole(pixels[view], width, room)
+            _mix(room, greys[k].reshape(-1))
             _normalize(greys[k], gains, noise2[view], sums, noises2[k], inverse_sd[k])
         if n_used < 2:
             continue
@@ -175,30 +183,26 @@ class _Room(NamedTuple):
 
     places: Indices32  # of the pixel to the upper left
     parts: Singles  # right of it and below it
-    corners: Indices32  # grey levels of four pixels
+    corners: Indices32  # grey levels of four pixels, eight bits each
+
+
+# what computes goes side by side, so what reads pixels one by one is a loop of its own
 
 
 @compiled_within
-def _sample(
-    image: NDArray[np.uint8],
+def _place(
     width: int,
     at_u: Singles,
     at_v: Singles,
     axes_px: tuple[np.float32, np.float32, np.float32, np.float32],
     offsets_mm: Singles,
     room: _Room,
-    greys: Singles,
 ) -> None:
-    """Fill in the grey levels of a patch (samples, depths), bilinear.
-
-    What computes goes side by side, so what reads pixels one by one is a loop of its own.
-    """
-    n_samples, n_depths = greys.shape
-    places, parts, corners = room.places, room.parts, room.corners
-    rights, belows = parts[0], parts[1]
-    upper_left, upper_right, lower_left, lower_right = corners[0], corners[1], corners[2], corners[3]
+    """Fill in where the samples of a patch are."""
+    n_depths = len(at_u)
+    places, rights, belows = room.places, room.parts[0], room.parts[1]
     ua, va, ub, vb = axes_px
-    for q in range(n_samples):
+    for q in range(len(offsets_mm)):
         du = ua * offsets_mm[q, 0] + ub * offsets_mm[q, 1]
         dv = va * offsets_mm[q, 0] + vb * offsets_mm[q, 1]
         for depth in range(n_depths):
@@ -207,18 +211,44 @@ def _sample(
             at = q * n_depths + depth
             rights[at], belows[at] = u - np.float32(column), v - np.float32(row)
             places[at] = row * np.int32(width) + column
-    for at in range(n_samples * n_depths):
+
+
+@compiled_within
+def _gather(fours: Indices32, room: _Room) -> None:
+    """Read the four pixels of each sample, which lie together."""
+    places, corners = room.places, room.corners
+    for at in range(len(places)):
+        corners[at] = fours[np.uint32(places[at])]
+
+
+@compiled_within
+def _gather_whole(pixels: NDArray[np.uint8], width: int, room: _Room) -> None:
+    """Read the four pixels of each sample from a whole image."""
+    places, corners = room.places, room.corners
+    for at in range(len(places)):
         place = np.uint32(places[at])
-        upper_left[at], upper_right[at] = image[place], image[place + np.uint32(1)]
-        place += np.uint32(width)
-        lower_left[at], lower_right[at] = image[place], image[place + np.uint32(1)]
-    found = greys.reshape(-1)
-    for at in range(n_samples * n_depths):
-        left, right = np.float32(upper_left[at]), np.float32(upper_right[at])
+        below = place + np.uint32(width)
+        right, diagonal = place + np.uint32(1), below + np.uint32(1)
+        corners[at] = four_pixels(pixels[place], pixels[right], pixels[below], pixels[diagonal])
+
+
+@compiled_within
+def _mix(room: _Room, greys: Singles) -> None:
+    """Fill in the grey levels of the samples, bilinear."""
+    rights, belows, corners = room.parts[0], room.parts[1], room.corners
+    for at in range(len(greys)):
+        four = corners[at]
+        left, right = np.float32(_pixel(four, 0)), np.float32(_pixel(four, 8))
         above = left + (right - left) * rights[at]
-        left, right = np.float32(lower_left[at]), np.float32(lower_right[at])
+        left, right = np.float32(_pixel(four, 16)), np.float32(_pixel(four, 24))
         below = left + (right - left) * rights[at]
-        found[at] = above + (below - above) * belows[at]
+        greys[at] = above + (below - above) * belows[at]
+
+
+@compiled_within
+def _pixel(four: np.int32, bits: int) -> np.int32:
+    """Return one of four pixels: as many bits wide as what is computed with it."""
+    return np.int32((four >> np.int32(bits)) & np.int32(255))
 
 
 @compiled_within
