@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 from support.render_cache import kept_rendered
@@ -12,8 +13,9 @@ from pipeline.arrays import PointsMM, Values
 from pipeline.frames import FrameBundle
 from pipeline.geometry.icosphere import icosphere
 from pipeline.meshing import ParticleMesh
-from pipeline.refinement.grey_alignment import aligned
+from pipeline.refinement.grey_alignment import BLUR_PX, _looked, aligned
 from pipeline.refinement.sightings import PhotoViews, photo_views
+from pipeline.rig.lens import region_pixel
 from pipeline.segmentation import segment_all
 from pipeline.segmentation.subtraction import BackgroundSegmenter
 from pipeline.synthesis.bodies import SurfaceKind, sphere
@@ -107,3 +109,19 @@ def test_points_that_tangent_rays_touch_stay() -> None:
     above = wavy_mm[:, 2] > 1.0
     moved = [rms_mm(np.linalg.norm((each - wavy_mm)[above], axis=1)) for each in (free_mm, held_mm)]
     assert moved[1] < 0.5 * moved[0]
+
+
+def test_points_look_at_the_same_grey_levels_as_in_whole_blurred_images():
+    points_mm, seen = ball().vertices_mm[::50].copy(), views()
+    seen_by = np.tile(np.arange(len(seen.regions), dtype=np.int32), (len(points_mm), 1))
+    greys, _ = _looked(seen, points_mm, points_mm / RADIUS_MM, seen_by)
+    for view, region in enumerate(seen.regions):
+        kernel = cv2.getGaussianKernel(5, BLUR_PX)
+        image = np.asarray(cv2.sepFilter2D(region, cv2.CV_32F, kernel, kernel))
+        in_camera_mm = points_mm @ seen.R[view].T + seen.t_mm[view]
+        at_px = in_camera_mm[:, :2] / in_camera_mm[:, 2:]
+        pixels = [region_pixel(tuple(seen.lenses[view]), x, y) for x, y in at_px]
+        expected = cv2.remap(image, np.array(pixels, np.float32)[:, None], None, cv2.INTER_LINEAR)[:, 0]
+        is_seen = greys[:, view] >= 0
+        assert is_seen.mean() > 0.9
+        np.testing.assert_allclose(greys[is_seen, view], expected[is_seen], atol=1.0)

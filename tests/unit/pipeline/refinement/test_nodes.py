@@ -8,6 +8,7 @@ from scipy.spatial.distance import pdist
 from pipeline.refinement.nodes import (
     Nodes,
     interpolated,
+    of_nodes,
     smoothed,
     spread_nodes,
     vertex_normals,
@@ -80,3 +81,11 @@ def test_a_constant_is_interpolated_and_smoothed_to_itself():
     weights = np.random.default_rng(1).uniform(0.1, 1, len(ones))
     found = interpolated(np.array(mesh.vertices), normals, nodes, ones, weights, 0.6 * SPACING_MM)
     np.testing.assert_allclose(found, 1.0)
+
+
+def test_one_value_a_node_is_smoothed_as_a_column_of_several():
+    nodes = nodes_of(ball())
+    is_kept = np.random.default_rng(1).random(len(nodes.points_mm)) < 0.7
+    nodes = of_nodes(nodes, is_kept)  # with gaps among the neighbours
+    values = np.random.default_rng(2).normal(size=len(nodes.points_mm))
+    np.testing.assert_array_equal(smoothed(nodes, values, 7), smoothed(nodes, values[:, None], 7)[:, 0])
