@@ -117,7 +117,7 @@ def _shifts(nodes: Nodes, gate: Values, anchors: Values, views: PhotoViews) -> V
 
 
 def _below(nodes: Nodes, seen_by: Indices32, weights: Singles, views: PhotoViews) -> Values:
-    """Return how far (K,) below each point its blurred images show it, where the surface is curved.
+    """Return the depth (K,) below each point at which its blurred images show it, where the surface is curved.
 
     A pixel of an image with blur sigma shows the mean of a neighbourhood, which on a convex surface lies below its
     middle: by sigma^2 times the mean curvature, and more the more the surface is turned away from the view. To second
