@@ -10,6 +10,7 @@ from drivers.gates.edge_filter import Began, Bounced, EdgeFilter, Ended, Pulse
 from drivers.gates.gate_clock import GateClock
 from drivers.gates.gate_records import (
     SEQUENCES,
+    CameraPulses,
     Edge,
     GateProtocol,
     Identity,
@@ -59,6 +60,8 @@ class GateListener:
         self._reception = Reception()
         self._is_recognised = True
         self.identity: Identity | None = None
+        self.pulses: CameraPulses | None = None
+        """How it pulses the cameras' trigger line; None until it said so."""
         self.n_statuses = 0
 
     @property
@@ -159,6 +162,9 @@ class GateListener:
                     self._is_clock_short = False
                     self._begin_anew(ignored=None)
                 self.identity, self._is_recognised = record, True
+                return []
+            case CameraPulses():
+                self.pulses = record
                 return []
 
     def _take_edge(self, record: Edge | TestPulse, latest_ns: int) -> list[DeviceEvent]:

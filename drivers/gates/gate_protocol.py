@@ -11,10 +11,15 @@ from the gate
 ``$W,<seq>,<width_us>``               the beam of `seq` is open again, after `width_us`
 ``$S,<us>,<last>,<ignored>,<0|1>``    every second: last sequence number sent, edges merged, beam blocked now
 ``$I,<name>,<serial>,<version>``      identity of the gate
-to the gate, without checksum
+``$D,<delay>,<pulse>,<n>,<unmade>``   how it pulses the cameras: delay from the edge and width in us, pulses that can
+                                      wait at the same time, pulses for which no place was free; sent after `I`,
+                                      in answer to the command `D`, and when `unmade` grew
+to the gate
 ``?\n``                               identify: send `I` and at once an `S`; sent when the port is opened, and
                                       the host ignores all lines until it is answered
 ``T\n``                               pulse the cameras' trigger line once
+``$D,<delay>,<pulse>*<crc>\n``        delay and width of all later pulses, kept over power-off (EEPROM); with the
+                                      checksum of a record, because it is kept
 ====================================  ========================================================================
 
 - `seq` counts what triggered the cameras, edges and test pulses alike: the first after power-on is 1,
@@ -28,6 +33,11 @@ to the gate, without checksum
 - A host may open the port at any moment: a board that restarts then (DTR) forgets what it counted meanwhile. The
   host leaves DTR and RTS up when it closes the port, so only the first opening after plugging in can restart it.
 
+- Delay: `us` and the line of `E` and `T` are the edge's (the command's), sent at once; the pulse follows `delay` later,
+  of test pulses as well. Pulses that wait keep their own time when another delay is set. A delay or width that
+  the gate cannot make changes nothing, and the answer shows what is in effect. `unmade` has 32 bits, from 0, wraps; an
+  edge without a pulse keeps its number and line. Kept values that are damaged or absent: delay 0, width 100.
+- A gate that never sends `D` pulses at the edge itself and knows no command `D`.
 - Lines of other types, whole ones, are left out and reported: they may be of a later version.
 
 The trigger line of the cameras is wired to the gate; nothing here is in that path. 115200 baud, 8N1, no flow
@@ -41,6 +51,7 @@ from typing import Any, Final
 
 from drivers.gates.gate_records import (
     SEQUENCES,
+    CameraPulses,
     Edge,
     GateProtocol,
     Identity,
@@ -66,11 +77,23 @@ _NAME = re.compile(r"[A-Za-z0-9._+-]{1,32}", re.ASCII)
 def encode(record: Record) -> bytes:
     """Return the line of a record, with its line end; `ValueError` for a value that the protocol cannot carry."""
     fields = [str(int(value) if isinstance(value, bool) else value) for value in astuple(record)]
-    body = ",".join([_LETTERS[type(record)], *fields]).encode("ascii", "replace")
-    line = b"$%b*%04X\r\n" % (body, checksum(body))
+    line = _framed(_LETTERS[type(record)], *fields) + b"\r\n"
     if decode(line) != record:
         raise ValueError(f"{record} cannot be sent")
     return line
+
+
+def set_pulses(delay_us: int, pulse_us: int) -> bytes:
+    """Return the command that sets delay and width of the pulses to the cameras."""
+    return _framed("D", str(delay_us), str(pulse_us)) + b"\n"
+
+
+def read_set_pulses(line: bytes) -> tuple[int, int]:
+    """Return delay and width in us of the command `set_pulses`; `ValueError` for any other line."""
+    match _fields(line):
+        case ["D", delay_us, pulse_us]:
+            return _count(delay_us), _count(pulse_us)
+    raise ValueError(f"no command: {line!r}")
 
 
 def decode(line: bytes) -> Record:
@@ -83,17 +106,26 @@ def decode(line: bytes) -> Record:
     UnknownRecordError
         Its checksum is right, and it is no record.
     """
+    letter, *fields = _fields(line)
+    try:
+        return _record(letter, fields)
+    except ValueError as err:
+        raise UnknownRecordError(f"{err}: {line!r}") from err
+
+
+def _framed(*fields: str) -> bytes:
+    body = ",".join(fields).encode("ascii", "replace")
+    return b"$%b*%04X" % (body, checksum(body))
+
+
+def _fields(line: bytes) -> list[str]:
     found = _LINE.fullmatch(line.removesuffix(b"\n").removesuffix(b"\r"))
     if found is None:
         raise ValueError(f"not of the form $...*CRC: {line[:MAX_LINE_BYTES]!r}")
     body, crc = found.groups()
     if b"%04X" % checksum(body) != crc:
         raise ValueError(f"checksum is {crc.decode()}, should be {checksum(body):04X}: {line!r}")
-    letter, *fields = body.decode("ascii", "replace").split(",")
-    try:
-        return _record(letter, fields)
-    except ValueError as err:
-        raise UnknownRecordError(f"{err}: {line!r}") from err
+    return str(body, "ascii", "replace").split(",")
 
 
 def _record(letter: str, fields: list[str]) -> Record:
@@ -113,6 +145,13 @@ def _record(letter: str, fields: list[str]) -> Record:
             )
         case "I", [name, serial, version]:
             return Identity(name=_name(name), serial=_name(serial), version=_name(version))
+        case "D", [delay, pulse, places, unmade]:
+            return CameraPulses(
+                delay_us=_count(delay),
+                pulse_us=_count(pulse),
+                places=_count(places),
+                unmade=_count(unmade),
+            )
     raise ValueError("unknown record")
 
 
@@ -149,7 +188,14 @@ class LineSplitter:
         return lines[::-1]
 
 
-_LETTERS: dict[type[Any], str] = {Edge: "E", TestPulse: "T", Width: "W", Status: "S", Identity: "I"}
+_LETTERS: dict[type[Any], str] = {
+    Edge: "E",
+    TestPulse: "T",
+    Width: "W",
+    Status: "S",
+    Identity: "I",
+    CameraPulses: "D",
+}
 
 
 def _count(field: str) -> int:
@@ -172,5 +218,7 @@ def _name(field: str) -> str:
     return field
 
 
-STONEFALL = GateProtocol(identify=IDENTIFY, test_pulse=TEST_PULSE, splitter=LineSplitter, decode=decode)
+STONEFALL = GateProtocol(
+    identify=IDENTIFY, test_pulse=TEST_PULSE, splitter=LineSplitter, decode=decode, set_pulses=set_pulses
+)
 """This protocol, for the driver."""

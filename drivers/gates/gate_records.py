@@ -53,7 +53,17 @@ class Identity:
     version: str
 
 
-Record = Edge | TestPulse | Width | Status | Identity
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraPulses:
+    """How the gate pulses the cameras' trigger line after an edge or a command."""
+
+    delay_us: int  # from the edge to the beginning of its pulse
+    pulse_us: int  # width
+    places: int  # pulses that can wait at the same time
+    unmade: int  # pulses since power-on for which no place was free
+
+
+Record = Edge | TestPulse | Width | Status | Identity | CameraPulses
 
 
 class Line(NamedTuple):
@@ -95,3 +105,5 @@ class GateProtocol(NamedTuple):
 
     `UnknownRecordError` for a whole one that is no record.
     """
+    set_pulses: Callable[[int, int], bytes] | None = None
+    """Returns the command that sets delay and width of the cameras' pulses, in us; None: no gate of it can delay."""

@@ -2,8 +2,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.gates.gate_protocol import MAX_LINE_BYTES, LineSplitter, checksum, decode, encode
-from drivers.gates.gate_records import SEQUENCES, Edge, Identity, Record, Status, TestPulse, Width
+from drivers.gates.gate_protocol import (
+    MAX_LINE_BYTES,
+    LineSplitter,
+    checksum,
+    decode,
+    encode,
+    read_set_pulses,
+    set_pulses,
+)
+from drivers.gates.gate_records import (
+    SEQUENCES,
+    CameraPulses,
+    Edge,
+    Identity,
+    Record,
+    Status,
+    TestPulse,
+    Width,
+)
 
 NUMBERS = st.integers(0, SEQUENCES - 1)
 TIMES_US = st.integers(0, (1 << 64) - 1)
@@ -14,6 +31,7 @@ RECORDS: st.SearchStrategy[Record] = st.one_of(
     st.builds(Width, NUMBERS, TIMES_US),
     st.builds(Status, device_us=TIMES_US, last_sequence=NUMBERS, ignored=NUMBERS, is_blocked=st.booleans()),
     st.builds(Identity, name=NAMES, serial=NAMES, version=NAMES),
+    st.builds(CameraPulses, delay_us=NUMBERS, pulse_us=NUMBERS, places=NUMBERS, unmade=NUMBERS),
 )
 
 
@@ -29,11 +47,27 @@ def test_the_checksum_is_crc_16_ccitt_false() -> None:
         (Width(1, 3000), b"$W,1,3000*A93A\r\n"),
         (Status(device_us=9, last_sequence=2, ignored=0, is_blocked=True), b"$S,9,2,0,1*8F29\r\n"),
         (Identity(name="a", serial="b", version="1.0"), b"$I,a,b,1.0*1E34\r\n"),
+        (
+            CameraPulses(delay_us=247_350, pulse_us=100, places=8, unmade=0),
+            b"$D,247350,100,8,0*5086\r\n",
+        ),
     ],
 )
 def test_these_lines_are_the_protocol(record: Record, line: bytes) -> None:
     assert encode(record) == line
     assert decode(line) == record
+
+
+def test_the_command_of_the_delay_is_signed() -> None:
+    assert set_pulses(247_350, 100) == b"$D,247350,100*CFA5\n"
+    assert read_set_pulses(b"$D,247350,100*CFA5") == (247_350, 100)
+    for line in (
+        b"$D,247350,101*CFA5",
+        encode(CameraPulses(delay_us=1, pulse_us=1, places=8, unmade=0)),
+        b"T",
+    ):
+        with pytest.raises(ValueError, match=r"."):
+            read_set_pulses(line)
 
 
 @given(RECORDS)
