@@ -69,6 +69,26 @@ class DeviceFault(StrEnum):
         "its clock has 32 bits and wrapped to 0, as it does every 71.6 minutes: it was counted on; let its firmware"
         " send 64 bits, as the protocol asks, so that a wrap is never taken for a restart",
     )
+    GATE_CANNOT_DELAY = (
+        "gate_cannot_delay",
+        "makes no delay, and {delay_us} us are wanted of it: flash a firmware that can, or let cameras or a timer make"
+        " it (rig.delay)",
+    )
+    GATE_DELAY_REFUSED = (
+        "gate_delay_refused",
+        "cannot be set to a delay of {delay_us} us with pulses of {pulse_us} us: it stays at {set_us} us with"
+        " {set_pulse_us} us; look at the limits of its firmware",
+    )
+    GATE_DELAY_DIFFERS = (
+        "gate_delay_differs",
+        "makes a delay of {set_us} us with pulses of {set_pulse_us} us, and not {delay_us} us with {pulse_us} us as it"
+        " was set to: look at its power supply",
+    )
+    GATE_PULSES_UNMADE = (
+        "gate_pulses_unmade",
+        "did not trigger the cameras {pulses} times within the last minute, as {places} pulses waited: feed more"
+        " evenly, or look for what closes the beam besides stones",
+    )
     GATE_LINES_UNKNOWN = (
         "gate_lines_unknown",
         "sent {lines} lines with a valid checksum within the last minute that this version does not know, the last one"

@@ -52,6 +52,9 @@ class LiveBackend:
     gate: GateDevice
     driver: str
     """Makes the cameras in their process; by name, as the daemon does not load their library."""
+    gate_delay_us: int = (
+        0  # from the edge to the gate's pulse to the cameras; only a serial gate can make one
+    )
     fired_by: ActionKeys | Literal["software"] | None = None  # None: the cameras are wired to the gate
     interfaces: tuple[str, ...] = ()  # IPv4 addresses of this machine, towards the cameras
     is_simulated: bool = False
@@ -116,7 +119,7 @@ def _live_devices(backend: LiveBackend) -> Devices:
         backend = replace(backend, cameras=tuple(allowed))
     process = CameraProcess(backend.driver)
     cameras = {settings.id: RemoteCamera(settings, process) for settings in backend.cameras}
-    gate = build_gate(backend.gate)
+    gate = build_gate(backend.gate, backend.gate_delay_us)
     match backend.fired_by:
         case "software":
             gate = FiringGate(gate, SoftwareTrigger([camera.software_trigger for camera in cameras.values()]))
@@ -131,11 +134,11 @@ def _live_devices(backend: LiveBackend) -> Devices:
     )
 
 
-def build_gate(device: GateDevice) -> LightGate:
-    """Return the light gate alone, not yet opened."""
+def build_gate(device: GateDevice, delay_us: int = 0) -> LightGate:
+    """Return the light gate alone, not yet opened; `delay_us` is from an edge to its pulse, of a serial gate."""
     match device:
         case SerialGateSettings():
-            return SerialGate(device)
+            return SerialGate(device, delay_us=delay_us)
         case ModemLineSettings():
             return ModemLineGate(device)
         case GpioGateSettings():

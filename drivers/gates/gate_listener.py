@@ -51,6 +51,8 @@ class GateListener:
         self._sequence = 0  # of the pulse in the filter
         self._edge: Edge | None = None
         self._ignored: int | None = None
+        self._unmade: int | None = None
+        self._unmade_pulses: deque[tuple[int, int]] = deque(maxlen=256)  # time and number
         self._blocked_since_ns: int | None = None
         self._late_lines: deque[tuple[int, int]] = deque(maxlen=256)  # time and delay
         self._unknown_lines: deque[tuple[int, str]] = deque(maxlen=256)  # time and text
@@ -62,7 +64,7 @@ class GateListener:
         self.identity: Identity | None = None
         self.pulses: CameraPulses | None = None
         """How it pulses the cameras' trigger line; None until it said so."""
-        self.n_statuses = 0
+        self.n_statuses = self.n_pulses = 0  # records received
 
     @property
     def counters(self) -> GateCounters:
@@ -82,6 +84,7 @@ class GateListener:
         self._filter.reset()
         self._blocked_since_ns = None
         self._is_recognised = False
+        self.pulses = None
         self._reception.begin(self.counters.garbage)
 
     def not_understood(self, waited_s: float) -> Told | None:
@@ -109,6 +112,9 @@ class GateListener:
             found.append(told(DeviceFault.GATE_RESTARTED))
         if self._is_clock_short:
             found.append(told(DeviceFault.GATE_CLOCK_SHORT))
+        unmade = sum(number for at_ns, number in self._unmade_pulses if now_ns - at_ns < RECENT_NS)
+        if unmade and self.pulses is not None:
+            found.append(told(DeviceFault.GATE_PULSES_UNMADE, pulses=unmade, places=self.pulses.places))
         unknown = [text for at_ns, text in self._unknown_lines if now_ns - at_ns < RECENT_NS]
         if unknown:
             found.append(told(DeviceFault.GATE_LINES_UNKNOWN, lines=len(unknown), reported=unknown[-1]))
@@ -160,11 +166,15 @@ class GateListener:
                     log.warning("light gate was replaced: now %s, before %s", record, self.identity)
                     self._counter.forget()
                     self._is_clock_short = False
-                    self._begin_anew(ignored=None)
+                    self._begin_anew(counted=None)
                 self.identity, self._is_recognised = record, True
                 return []
             case CameraPulses():
-                self.pulses = record
+                if self._unmade is not None and (number := (record.unmade - self._unmade) % SEQUENCES):
+                    self._counters.unmade += number
+                    self._unmade_pulses.append((latest_ns, number))
+                self.pulses, self._unmade = record, record.unmade
+                self.n_pulses += 1
                 return []
 
     def _take_edge(self, record: Edge | TestPulse, latest_ns: int) -> list[DeviceEvent]:
@@ -210,18 +220,18 @@ class GateListener:
             self._late_lines.append((latest_ns, latest_ns - host_ns))
         return host_ns
 
-    def _begin_anew(self, *, ignored: int | None) -> None:
-        """Forget the state of another gate, or of this one before it was restarted."""
+    def _begin_anew(self, *, counted: int | None) -> None:
+        """Forget the state of another gate, or of this one before a restart, since when it `counted`."""
         self._clock.restart()
         self._filter.reset()
         self._edge = None
-        self._ignored = ignored
+        self._ignored = self._unmade = counted
 
     def _account(self, step: CountedStep, latest_ns: int) -> list[DeviceEvent]:
         if step.has_restarted:
             self._counters.restarts += 1
             self._restarted_ns = latest_ns
-            self._begin_anew(ignored=None if step.missed is None else 0)
+            self._begin_anew(counted=None if step.missed is None else 0)
             missed = "an unknown number" if step.missed is None else step.missed
             log.warning("light gate was restarted, stones missed: %s; check its power supply", missed)
         if step.has_wrapped:

@@ -15,7 +15,7 @@ from the gate
                                       wait at the same time, pulses for which no place was free; sent after `I`,
                                       in answer to the command `D`, and when `unmade` grew
 to the gate
-``?\n``                               identify: send `I` and at once an `S`; sent when the port is opened, and
+``?\n``                               identify: send `I`, `D` and at once an `S`; sent when the port is opened, and
                                       the host ignores all lines until it is answered
 ``T\n``                               pulse the cameras' trigger line once
 ``$D,<delay>,<pulse>*<crc>\n``        delay and width of all later pulses, kept over power-off (EEPROM); with the

@@ -26,6 +26,7 @@ class GateCounters:
     restarts: int = 0  # of the gate
     wraps: int = 0  # of a clock of 32 bits
     late: int = 0  # lines
+    unmade: int = 0  # pulses to the cameras for which the gate had no place
 
 
 class Reception:

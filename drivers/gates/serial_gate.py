@@ -13,7 +13,7 @@ from drivers.errors import DeviceFault, Told, told
 from drivers.files.times import ns_since
 from drivers.gates.gate_listener import GateListener
 from drivers.gates.gate_protocol import STONEFALL
-from drivers.gates.gate_records import GateProtocol, Identity
+from drivers.gates.gate_records import CameraPulses, GateProtocol, Identity
 from drivers.gates.gate_thread import GateThread
 from drivers.gates.port import keep_port, port_problem
 from drivers.gates.reception import GateCounters
@@ -24,6 +24,8 @@ READ_S = 0.02
 """Time-out of a read; after each the end of a pulse and the silence of the gate are checked."""
 ASK_AGAIN_S = 0.5
 """How long an answer to `IDENTIFY` is waited for before it is sent again."""
+SET_TRIES = 3
+"""How often the delay is set before the gate counts as one that cannot make it; a line may be damaged."""
 WRITE_S = 0.5
 TEST_PULSE_S = 0.5
 """Longest time from the command for a test pulse to the gate's answer."""
@@ -38,6 +40,7 @@ class SerialGateSettings:
     debounce_us: int = 10_000  # edges within this time after the last one belong to the same stone
     answer_timeout_s: float = 3.0  # for its first status; a board that restarts when it is opened needs 2
     silence_s: float = 3.0  # lost after so long without a valid line; it sends a status every second
+    pulse_us: int = 100  # width of its pulses to the cameras, where it can be set
     blocked_s: float = 2.0  # a beam closed for longer is blocked: no stone takes so long
 
     def __post_init__(self) -> None:
@@ -47,6 +50,8 @@ class SerialGateSettings:
             raise ValueError(f"baud must be in 300..12000000, not {self.baud}")
         if self.debounce_us < 0:
             raise ValueError(f"debounce_us must not be negative, not {self.debounce_us}")
+        if not 1 <= self.pulse_us <= 100_000:
+            raise ValueError(f"pulse_us must be in 1..100000, not {self.pulse_us}")
         if self.answer_timeout_s <= 0 or self.blocked_s <= 0:
             raise ValueError("answer_timeout_s and blocked_s must be positive")
         if self.silence_s <= 1:
@@ -61,10 +66,16 @@ class SerialGate:
 
     What the gate counted and did not announce is `TriggersLost`; when an armed gate was lost, or the process that had
     armed it, also what it counted until it was armed again. What passes a gate disarmed on purpose is not lost.
+
+    `delay_us` is what the gate waits from an edge to its pulse to the cameras; it is set when the gate is opened, and a
+    gate that does otherwise is not used.
     """
 
-    def __init__(self, settings: SerialGateSettings, protocol: GateProtocol = STONEFALL) -> None:
+    def __init__(
+        self, settings: SerialGateSettings, protocol: GateProtocol = STONEFALL, *, delay_us: int = 0
+    ) -> None:
         self._settings = settings
+        self._delay_us = delay_us
         self._protocol = protocol
         self._thread = GateThread(settings.port)
         self._port: serial.Serial | None = None
@@ -85,6 +96,11 @@ class SerialGate:
     def identity(self) -> Identity | None:
         """Name, serial number and firmware of the gate; None before it answered."""
         return self._listener.identity
+
+    @property
+    def pulses(self) -> CameraPulses | None:
+        """How the gate pulses the cameras' trigger line; None for one that cannot delay, or not yet answered."""
+        return self._listener.pulses
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -122,6 +138,7 @@ class SerialGate:
                     raise self._thread.error(self._thread.failure)
                 if time.monotonic() > deadline_s:
                     raise self._thread.error(self._unidentified(n_damaged))
+            self._set_pulses()
         except BaseException:
             self.close()
             raise
@@ -192,6 +209,29 @@ class SerialGate:
                 damaged=self._listener.counters.garbage - n_damaged,
             )
 
+    def _set_pulses(self) -> None:
+        """Set delay and width of the pulses unless they are in effect; raises `GateUnavailableError`."""
+        if self._pulses_differ(DeviceFault.GATE_DELAY_REFUSED) is None and (
+            self.pulses or not self._delay_us
+        ):
+            return  # a gate that says nothing makes no delay
+        make = self._protocol.set_pulses
+        count = lambda: self._listener.n_pulses  # noqa: E731 - read again and again by `_answers`
+        command = b"" if make is None else make(self._delay_us, self._settings.pulse_us)
+        if make is None or not any(self._answers(command, count, ASK_AGAIN_S) for _ in range(SET_TRIES)):
+            raise self._thread.error(told(DeviceFault.GATE_CANNOT_DELAY, delay_us=self._delay_us))
+        if problem := self._pulses_differ(DeviceFault.GATE_DELAY_REFUSED):
+            raise self._thread.error(problem)
+
+    def _pulses_differ(self, fault: DeviceFault) -> Told | None:
+        """Return the fault when the gate said that it pulses the cameras otherwise than it should."""
+        said, delay_us, pulse_us = self.pulses, self._delay_us, self._settings.pulse_us
+        if said is None or (said.delay_us, said.pulse_us) == (delay_us, pulse_us):
+            return None
+        return told(
+            fault, delay_us=delay_us, pulse_us=pulse_us, set_us=said.delay_us, set_pulse_us=said.pulse_us
+        )
+
     def _answers(self, command: bytes, count: Callable[[], int], timeout_s: float) -> bool:
         """Send a command; returns whether `count` increased within `timeout_s`."""
         if self._port is None:
@@ -210,12 +250,17 @@ class SerialGate:
         data += port.read(port.in_waiting)
         now_ns = time.monotonic_ns()
         with self._heard:
-            n_lines = self._listener.counters.lines
+            n_lines, n_restarts = self._listener.counters.lines, self._listener.counters.restarts
             for event in self._listener.hear(data, now_ns):
                 self._hand_over(event)
             if self._listener.counters.lines > n_lines:
                 self._heard_ns = now_ns
+            has_restarted = self._listener.counters.restarts > n_restarts
             self._heard.notify_all()
+        if self._is_answered and has_restarted:
+            port.write(self._protocol.identify)  # to hear which delay it has now
+        if self._is_answered and (differing := self._pulses_differ(DeviceFault.GATE_DELAY_DIFFERS)):
+            raise self._thread.error(differing)  # it is opened again, and set
         silence_s = self._settings.silence_s
         if self._is_answered and now_ns - self._heard_ns > silence_s * 1e9:
             noise = self._listener.not_understood(silence_s)

@@ -1,8 +1,8 @@
 """The light gate of the simulated rig: a microcontroller that speaks `gate_protocol` on a pseudo-terminal.
 
-It counts the stones that close its beam, pulses the cameras' trigger line at once and reports to the host. Its clock
-drifts, and pulling its plug does not cut its power. Gates on modem lines cannot be simulated: a pseudo-terminal has
-no such line.
+It counts the stones that close its beam, reports to the host and pulses the cameras' trigger line, at once or after the
+delay that the host has set; that is kept without power. Its clock drifts, and pulling its plug does not cut its power.
+Gates on modem lines cannot be simulated: a pseudo-terminal has no such line.
 """
 
 import heapq
@@ -12,13 +12,23 @@ import select
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
 from pathlib import Path
 
-from drivers.gates.gate_protocol import IDENTIFY, TEST_PULSE, encode
-from drivers.gates.gate_records import SEQUENCES, Edge, Identity, Record, Status, TestPulse, Width
+from drivers.gates.gate_protocol import IDENTIFY, TEST_PULSE, encode, read_set_pulses
+from drivers.gates.gate_records import (
+    SEQUENCES,
+    CameraPulses,
+    Edge,
+    Identity,
+    Record,
+    Status,
+    TestPulse,
+    Width,
+)
 from drivers.gige_simulator.gate_faults import GateFaults, damaged
 from drivers.gige_simulator.pseudo_terminal import PseudoTerminal
 
@@ -27,6 +37,8 @@ UNOPENED_POLL_NS = 20_000_000
 """Interval of polling until a host opens the pseudo-terminal, which does not report that."""
 BOUNCE_NS = 3_000_000
 """From the opening of the beam to the bounce, and from one edge of a doubled stone to the other."""
+LONGEST_DELAY_US = 4_000_000
+SHORTEST_PULSE_US, LONGEST_PULSE_US = 10, 10_000
 GAP_NS = 1_000_000
 """How long the beam is open between the two pulses of a doubled stone."""
 
@@ -38,6 +50,7 @@ class GateDesign:
     link: Path  # symbolic link that the host opens as the serial port
     serial: str = "SIM-GATE"
     clock_drift_ppm: float = 0.0
+    places: int = 8  # pulses to the cameras that can wait; 0: an old one, which cannot delay
     seed: int = 0
 
 
@@ -51,6 +64,7 @@ class SimulatedGateCounters:
     missed: int = 0  # stones neither counted nor pulsed: by fault, blocked beam or without power
     uncounted: int = 0  # stones that pulsed the cameras only
     pulses: int = 0  # on the cameras' trigger line
+    unmade: int = 0  # pulses for which no place was free
     lines: int = 0  # sent whole
     damaged_lines: int = 0  # lost, halved, corrupted or silenced
     unheard_lines: int = 0  # while no host had the port open
@@ -78,13 +92,15 @@ class SimulatedGate:
         self._power_on_ns = 0
         self._sequence = 0
         self._ignored = 0
+        self._pulses = CameraPulses(delay_us=0, pulse_us=100, places=design.places, unmade=0)
+        self._n_waiting = 0
         self._plans: list[tuple[int, int, Callable[[], None]]] = []  # heap of (due_ns, order, action)
         self._order = count()
         self._last_line_ns = 0
         # edges and each kind of line have their own random numbers: no fault shifts those of the others
         self._dice: dict[type[Record] | None, random.Random] = {
             kind: random.Random(f"{design.seed}/gate/{kind and kind.__name__}")  # noqa: S311 - nothing secret
-            for kind in (None, Edge, TestPulse, Width, Status, Identity)
+            for kind in (None, Edge, TestPulse, Width, Status, Identity, CameraPulses)
         }
         self.is_opened = False
         """Whether a host has the port open."""
@@ -133,6 +149,8 @@ class SimulatedGate:
         with self._lock:
             self._is_powered = False
             self._plans.clear()
+            self._n_waiting = 0
+            self._pulses = replace(self._pulses, unmade=0)
             self._plan(now_ns, self._port.unplug)
             self._plan(now_ns + round(seconds * 1e9), self._power_on)
 
@@ -201,8 +219,30 @@ class SimulatedGate:
             self._count(merged=1)
 
     def _pulse_cameras(self, at_ns: int) -> None:
+        """Pulse the cameras' trigger line once the delay after `at_ns` is over."""
+        with self._lock:
+            due_ns = at_ns + self._pulses.delay_us * 1000
+            if due_ns > at_ns and self._n_waiting >= self._pulses.places:
+                self._count(unmade=1)
+                self._pulses = replace(self._pulses, unmade=(self._pulses.unmade + 1) % SEQUENCES)
+                self._say(self._pulses)
+                return
+            self._n_waiting += 1
+            if due_ns > at_ns:
+                self._plan(due_ns, partial(self._make_pulse, due_ns))
+                return
+        self._make_pulse(at_ns)
+
+    def _make_pulse(self, at_ns: int) -> None:
+        with self._lock:
+            self._n_waiting -= 1
         self._count(pulses=1)
         self._pulse(at_ns)
+
+    def _set_pulses(self, delay_us: int, pulse_us: int) -> None:
+        if delay_us <= LONGEST_DELAY_US and SHORTEST_PULSE_US <= pulse_us <= LONGEST_PULSE_US:
+            self._pulses = replace(self._pulses, delay_us=delay_us, pulse_us=pulse_us)
+        self._say(self._pulses)
 
     def _next_sequence(self) -> int:
         self._sequence = (self._sequence + 1) % SEQUENCES
@@ -258,7 +298,12 @@ class SimulatedGate:
                 self.test_pulse(now_ns)
             elif command + b"\n" == IDENTIFY:
                 self._say(Identity(name="stonefall-simulated-gate", serial=self._design.serial, version="1"))
+                if self._pulses.places:
+                    self._say(self._pulses)
                 self._say_status()
+            elif self._pulses.places:
+                with suppress(ValueError):
+                    self._set_pulses(*read_set_pulses(command))
 
     # --- the thread, which alone uses the port ---
 

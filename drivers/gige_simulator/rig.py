@@ -1,8 +1,8 @@
 """The simulated rig: GigE Vision cameras, a light gate and a belt in one process, which replay one recording.
 
 The belt lets a stone of the recording close the gate's beam; the gate reports it to the host and pulses a line of all
-cameras, at once or after a delay of its own; each waits for its trigger delay, exposes, and sends the recorded image
-of that stone.
+cameras, at once or after the delay that the host sets; a timer in that line may add another. Each camera waits for its
+trigger delay, exposes, and sends the recorded image of that stone.
 """
 
 import ipaddress
@@ -49,7 +49,8 @@ class RigDesign:
     n_cameras: int | None = None  # how many of the recording's, from the first; None: all
     legacy_every: int = 4  # every so many cameras one speaks the older dialect; 0: none
     vendors: tuple[str, ...] = ()  # whose ways the cameras have, in turn; empty: the simulator's own
-    gate_delay_ms: float = 0.0  # from the closed beam to the pulse to the cameras; the host is told at once
+    gate_places: int = 8  # pulses that can wait in the gate; 0: it cannot make a delay
+    timer_ms: float = 0.0  # delay of a generator in the line from gate to cameras
     rate_hz: float = 4.0
     is_looping: bool = False
     only_stones: bool = False  # the belt leaves out recorded exposures of the empty rig
@@ -95,6 +96,7 @@ class SimulatedRig:
             GateDesign(
                 link=design.gate_link,
                 clock_drift_ppm=dice.uniform(-MAX_CLOCK_DRIFT_PPM, MAX_CLOCK_DRIFT_PPM),
+                places=design.gate_places,
                 seed=design.seed,
             ),
             pulse=self._pulse,
@@ -105,7 +107,7 @@ class SimulatedRig:
         self._control = design.control
         self._requests = RigRequests(cameras=self.cameras, gate=self.gate, belt=self.belt)
         self._running = ExitStack()
-        self._gate_delay_ns = round(design.gate_delay_ms * 1e6)
+        self._timer_ns = round(design.timer_ms * 1e6)
         self._last_edge_ns = 0
         self._linger_ns = round(design.fall_ms * 1e6) + LINGER_NS
 
@@ -169,7 +171,7 @@ class SimulatedRig:
 
     def _pulse(self, at_ns: int) -> None:
         for camera in self.cameras.values():
-            camera.line(at_ns=at_ns + self._gate_delay_ns)
+            camera.line(at_ns=at_ns + self._timer_ns)
 
 
 def _is_sent(counters: Counters) -> bool:

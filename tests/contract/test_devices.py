@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.bare_lines import FakeLine, FakeLines
+from support.eventually import eventually
 from support.gige import gige_rig
 from support.pty_gate import pty_settings, serial_gate
 from support.recordings import CAMERAS, make_bundle, tagged_image, write_recording
@@ -32,6 +33,7 @@ from pipeline.frames import BundleKind, CameraId, Frame, Trigger
 N_BUNDLES = 12
 STAYS_NS = 60_000_000_000
 """A stone closes the beam for longer than a test takes: the end of its pulse is not waited for."""
+DELAY_US = 300_000
 PLANS = {"replay": None, "faulty": FaultPlan(seed=1)}
 
 
@@ -234,9 +236,11 @@ class GateBench:
     clock: Callable[[], int] = time.monotonic_ns
     can_expose: bool = True
     """Whether it can trigger the cameras without a stone."""
+    pulses_ns: list[int] | None = None
+    """When it pulsed the cameras, by the gate's own doing; None: nothing to see it by."""
 
 
-@pytest.fixture(params=[*PLANS, "serial", "firing", "simulated", "gpio", "modem line"])
+@pytest.fixture(params=[*PLANS, "serial", "firing", "simulated", "delaying", "gpio", "modem line"])
 def gate_bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[GateBench]:
     if request.param in PLANS:
         devices = replayed_devices(tmp_path, request.param)
@@ -250,11 +254,14 @@ def gate_bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[GateB
 
 
 @contextmanager
-def simulated_bench(link: Path) -> Iterator[GateBench]:
-    simulated = SimulatedGate(GateDesign(link=link), pulse=lambda _: None, empty_rig=lambda _: None)
+def simulated_bench(link: Path, *, delay_us: int = 0) -> Iterator[GateBench]:
+    pulses_ns: list[int] = []
+    simulated = SimulatedGate(GateDesign(link=link), pulse=pulses_ns.append, empty_rig=lambda _: None)
     simulated.open()
     yield GateBench(
-        SerialGate(pty_settings(link)), lambda: simulated.interrupt(time.monotonic_ns(), STAYS_NS)
+        SerialGate(pty_settings(link), delay_us=delay_us),
+        lambda: simulated.interrupt(time.monotonic_ns(), STAYS_NS),
+        pulses_ns=pulses_ns,
     )
     simulated.close()
 
@@ -288,6 +295,7 @@ LIVE_GATES: Mapping[str, Callable[[Path], AbstractContextManager[GateBench]]] = 
     "serial": serial_bench,
     "firing": partial(serial_bench, is_firing=True),
     "simulated": simulated_bench,
+    "delaying": partial(simulated_bench, delay_us=DELAY_US),
     "gpio": gpio_bench,
     "modem line": modem_line_bench,
 }
@@ -309,6 +317,22 @@ class TestGateContract:
         assert all(later.received_ns > earlier.received_ns for earlier, later in pairwise(triggers))
         assert before_ns <= triggers[1].received_ns <= gate_bench.clock()
         assert all(trigger.utc.endswith("Z") for trigger in triggers)
+
+    def test_stones_are_told_when_they_pass_however_late_their_pulses_are(
+        self, gate: LightGate, gate_bench: GateBench
+    ) -> None:
+        gate.open()
+        gate.arm(sink := Collector())
+        triggers = []
+        for _ in range(4):  # all in the air together, where the gate delays
+            gate_bench.drop()
+            triggers.append(next_trigger(sink))
+        gate.close()
+        if (pulses_ns := gate_bench.pulses_ns) is None:
+            return
+        eventually(lambda: len(pulses_ns) == len(triggers))
+        spacings_ns = [later.device_ns - earlier.device_ns for earlier, later in pairwise(triggers)]
+        assert [b - a for a, b in pairwise(pulses_ns)] == pytest.approx(spacings_ns, abs=5000)
 
     def test_after_disarm_nothing_is_delivered(self, gate: LightGate, gate_bench: GateBench) -> None:
         gate.open()

@@ -4,10 +4,20 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
-from drivers.gates.gate_protocol import IDENTIFY, TEST_PULSE, encode
-from drivers.gates.gate_records import SEQUENCES, Edge, Identity, Record, Status, TestPulse, Width
+from drivers.gates.gate_protocol import IDENTIFY, TEST_PULSE, encode, read_set_pulses
+from drivers.gates.gate_records import (
+    SEQUENCES,
+    CameraPulses,
+    Edge,
+    Identity,
+    Record,
+    Status,
+    TestPulse,
+    Width,
+)
 from drivers.gates.serial_gate import SerialGate, SerialGateSettings
 from drivers.gige_simulator.pseudo_terminal import PseudoTerminal
 
@@ -18,10 +28,10 @@ def pty_settings(link: Path) -> SerialGateSettings:
 
 
 @contextmanager
-def serial_gate(link: Path) -> Iterator[tuple[SerialGate, "PtyGate"]]:
+def serial_gate(link: Path, *, delay_us: int = 0) -> Iterator[tuple[SerialGate, "PtyGate"]]:
     """Make a serial gate, not yet opened, and the device it will find; both end with the context."""
     device = PtyGate(link)
-    gate = SerialGate(pty_settings(link))
+    gate = SerialGate(pty_settings(link), delay_us=delay_us)
     try:
         yield gate, device
     finally:
@@ -47,6 +57,8 @@ class PtyGate:
         self.ignored = 0
         self.is_blocked = False
         self.answers = True
+        self.pulses: CameraPulses | None = None  # None: an old one, which cannot delay
+        self.longest_delay_us = 4_000_000
         self._booted_ns = time.monotonic_ns() - UPTIME_NS
         self._sending = threading.Lock()
         self._stopping = threading.Event()
@@ -127,6 +139,16 @@ class PtyGate:
             return
         if command == IDENTIFY:
             self.send(Identity(name="pty-gate", serial="7", version="1.0"))
+            self._send_pulses()
             self.status()
         elif command == TEST_PULSE:
             self.send(TestPulse(self._count(), self.device_us))
+        elif self.pulses is not None:
+            delay_us, pulse_us = read_set_pulses(command)
+            if delay_us <= self.longest_delay_us:
+                self.pulses = replace(self.pulses, delay_us=delay_us, pulse_us=pulse_us)
+            self._send_pulses()
+
+    def _send_pulses(self) -> None:
+        if self.pulses is not None:
+            self.send(self.pulses)

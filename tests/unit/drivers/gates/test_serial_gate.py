@@ -17,7 +17,7 @@ from support.sinks import Collector
 from drivers.errors import GateUnavailableError
 from drivers.gates.gate_listener import GateListener
 from drivers.gates.gate_protocol import STONEFALL, checksum, encode
-from drivers.gates.gate_records import Edge, Identity
+from drivers.gates.gate_records import CameraPulses, Edge, Identity
 from drivers.gates.port import keep_port, port_problem
 from drivers.gates.serial_gate import SerialGate, SerialGateSettings
 from drivers.interfaces import GateLost, PulseEnded, TriggersIgnored, TriggersLost
@@ -508,3 +508,64 @@ def test_a_blocked_beam_is_a_warning(device: PtyGate, settings: SerialGateSettin
 def test_settings_that_cannot_work_are_refused(changes: dict[str, object], problem: str) -> None:
     with pytest.raises(ValueError, match=problem):
         SerialGateSettings(**{"port": "x", **changes})
+
+
+AT_ONCE = CameraPulses(delay_us=0, pulse_us=100, places=8, unmade=0)
+
+
+def test_the_delay_is_set_when_the_gate_is_opened_and_only_if_it_is_another(tmp_path: Path) -> None:
+    with serial_gate(tmp_path / "gate", delay_us=247_350) as (gate, device):
+        device.pulses = AT_ONCE
+        gate.open()
+        assert gate.pulses == device.pulses == replace(AT_ONCE, delay_us=247_350)
+        gate.close()
+        device.longest_delay_us = 0  # it would refuse to be set again
+        gate.open()
+        assert gate.pulses == replace(AT_ONCE, delay_us=247_350)
+
+
+def test_a_delay_left_over_from_another_rig_is_put_back(gate: SerialGate, device: PtyGate) -> None:
+    device.pulses = replace(AT_ONCE, delay_us=200_000)
+    gate.open()
+    assert device.pulses == AT_ONCE
+
+
+def test_a_gate_that_cannot_delay_is_refused_where_the_cameras_count_on_it(tmp_path: Path) -> None:
+    with serial_gate(tmp_path / "gate", delay_us=247_350) as (gate, device):
+        with pytest.raises(GateUnavailableError, match="makes no delay, and 247350 us are wanted of it"):
+            gate.open()
+        device.pulses, device.longest_delay_us = AT_ONCE, 100_000
+        with pytest.raises(
+            GateUnavailableError, match=r"cannot be set to a delay of 247350 us .* stays at 0 us"
+        ):
+            gate.open()
+        device.longest_delay_us = 300_000
+        gate.open()
+
+
+def test_a_gate_that_forgets_its_delay_is_lost_until_it_is_set_again(tmp_path: Path) -> None:
+    with serial_gate(tmp_path / "gate", delay_us=247_350) as (gate, device):
+        device.pulses = AT_ONCE
+        gate.open()
+        gate.arm(sink := Collector())
+        device.edge()
+        assert isinstance(sink.next(), Trigger)
+        device.restart()  # unseen by the line; its memory is damaged
+        device.pulses = AT_ONCE
+        device.edge()
+        while not isinstance(lost := sink.next(), GateLost):
+            pass
+        assert "makes a delay of 0 us" in lost.reason
+        gate.open()
+        gate.arm(Collector())
+        assert gate.pulses == replace(AT_ONCE, delay_us=247_350)
+
+
+def test_pulses_without_a_place_are_told_for_a_minute(device: PtyGate, gate: SerialGate) -> None:
+    device.pulses = replace(AT_ONCE, unmade=3)
+    gate.open()
+    assert gate.warnings == ()
+    device.send(replace(AT_ONCE, unmade=5))
+    eventually(lambda: gate.counters.unmade == 2)
+    (warning,) = gate.warnings
+    assert "did not trigger the cameras 2 times within the last minute, as 8 pulses waited" in warning

@@ -11,8 +11,8 @@ import pytest
 import serial
 from support.eventually import eventually
 
-from drivers.gates.gate_protocol import IDENTIFY, TEST_PULSE, decode
-from drivers.gates.gate_records import Edge, Identity, Record, Status, TestPulse, Width
+from drivers.gates.gate_protocol import IDENTIFY, TEST_PULSE, decode, set_pulses
+from drivers.gates.gate_records import CameraPulses, Edge, Identity, Record, Status, TestPulse, Width
 from drivers.gige_simulator.gate import GateDesign, SimulatedGate
 from drivers.gige_simulator.gate_faults import GateFaults, damaged
 
@@ -27,20 +27,20 @@ def dice() -> random.Random:
 class Bench:
     """A gate, its trigger line, and the host's port."""
 
-    def __init__(self, link: Path, *, drift_ppm: float = 0.0) -> None:
+    def __init__(self, link: Path, *, drift_ppm: float = 0.0, places: int = 8) -> None:
         self.pulses: list[int] = []
         self.empty: list[int] = []
         self.gate = SimulatedGate(
-            GateDesign(link=link, clock_drift_ppm=drift_ppm),
+            GateDesign(link=link, clock_drift_ppm=drift_ppm, places=places),
             pulse=self.pulses.append,
             empty_rig=self.empty.append,
         )
-        self._link = link
+        self.link = link
         self.gate.open()
         self.plug_in()
 
     def plug_in(self) -> None:
-        self.port = serial.Serial(str(self._link), timeout=3, exclusive=True)
+        self.port = serial.Serial(str(self.link), timeout=3, exclusive=True)
         eventually(lambda: self.gate.is_opened)
 
     def stone(self, width_ns: int = WIDTH_NS) -> int:
@@ -98,10 +98,45 @@ def test_its_clock_drifts(tmp_path: Path) -> None:
 def test_commands(bench: Bench) -> None:
     bench.port.write(b"nonsense\n" + IDENTIFY + TEST_PULSE)
     assert bench.heard() == Identity(name="stonefall-simulated-gate", serial="SIM-GATE", version="1")
+    assert bench.heard() == CameraPulses(delay_us=0, pulse_us=100, places=8, unmade=0)
     assert isinstance(pulse := bench.heard(), TestPulse)
     assert pulse.sequence == 1
     assert bench.pulses == bench.empty
     assert len(bench.empty) == 1
+
+
+def test_pulses_come_after_the_delay_that_is_set_and_those_without_a_place_never(tmp_path: Path) -> None:
+    with closing(Bench(tmp_path / "gate", places=2)) as bench:
+        bench.port.write(set_pulses(300_000, 50))
+        assert bench.heard() == CameraPulses(delay_us=300_000, pulse_us=50, places=2, unmade=0)
+        edges_ns = [bench.stone() for _ in range(3)]
+        assert bench.pulses == []
+        told = [bench.heard() for _ in range(4)]
+        assert CameraPulses(delay_us=300_000, pulse_us=50, places=2, unmade=1) in told
+        assert [record.sequence for record in told if isinstance(record, Edge)] == [1, 2, 3]
+        bench.port.write(set_pulses(0, 50))  # pulses that wait keep their time
+        eventually(lambda: len(bench.pulses) == 2)
+        assert bench.pulses == [edge_ns + 300_000_000 for edge_ns in edges_ns[:2]]
+        assert bench.gate.counters.unmade == 1
+
+
+def test_a_delay_that_it_cannot_make_changes_nothing_and_one_that_it_can_outlives_its_power(
+    bench: Bench,
+) -> None:
+    wanted = CameraPulses(delay_us=2000, pulse_us=100, places=8, unmade=0)
+    for command in (set_pulses(2000, 100), set_pulses(1 << 31, 100), set_pulses(1000, 1)):
+        bench.port.write(command)
+        assert bench.heard() == wanted
+    bench.port.write(set_pulses(5000, 100).replace(b"5000", b"5001"))  # damaged
+    bench.port.close()
+    bench.gate.power_cycle(0.05)
+    eventually(lambda: not bench.link.exists())
+    eventually(bench.link.exists)
+    bench.plug_in()
+    bench.port.write(IDENTIFY)
+    while not isinstance(record := bench.heard(), CameraPulses):
+        pass
+    assert record == wanted
 
 
 def test_a_bounce_is_merged(bench: Bench) -> None:
