@@ -2,9 +2,10 @@
 
 A trigger at time T opens a window of T + expected delay +- `window_ms`; a frame belongs to the trigger in
 whose window it arrived, whatever its number. Windows are disjoint because the gate's dead time exceeds
-their width. A frame that arrives after its window, on a busy machine, still belongs to its trigger while
-that is open, if its camera's clock and its counter both say so: neither moves a frame alone. Every
-trigger leaves as exactly one bundle, in order: complete, or at its deadline with the reasons of what is missing.
+their width, also of stones that are in the air together: then both are short, and the windows lie close. A frame that
+arrives after its window, on a busy machine, still belongs to its trigger while that is open, if its camera's clock and
+its counter both say so: neither moves a frame alone. Every trigger leaves as exactly one bundle, in order: complete,
+or at its deadline with the reasons of what is missing.
 
 Events may come in any order within one window's half width; a frame that comes before its trigger waits.
 When no trigger comes and most cameras exposed, the frames show a stone that the gate failed to announce: an
@@ -16,6 +17,7 @@ from bisect import insort
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import replace
+from itertools import zip_longest
 from operator import attrgetter
 
 from drivers.errors import LossCause
@@ -31,13 +33,15 @@ from drivers.interfaces import (
     TriggersLost,
 )
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, MissingReason, Trigger
-from service.bundling.exposure_check import ExposureCheck, MatchedFrame
+from service.bundling.exposure_check import LATEST_FRAME_NS, ExposureCheck, MatchedFrame
 from service.bundling.frame_account import BundlingCounters, CameraCounters, FrameAccount
 from service.bundling.missed_triggers import CounterGap, MissedTriggers
 from service.bundling.window import IN_VIEW_NS, BundlingParameters, OpenTrigger
 
 DELIVERY_NS = 300_000_000
 """Longest delivery of a frame from its camera's thread to the assembler, on a busy machine."""
+LATE_NS = 100_000_000
+"""Usual lateness on a busy machine: by so much a frame may come before its trigger, or after its short window."""
 
 
 class BundleAssembler:
@@ -110,7 +114,7 @@ class BundleAssembler:
 
     def advance(self, now_ns: int) -> list[FrameBundle]:
         """Return the bundles of the triggers that are complete or past their deadline."""
-        while self._unmatched and now_ns - self._unmatched[0].received_ns > self._window_ns:
+        while self._unmatched and now_ns - self._unmatched[0].received_ns > max(self._window_ns, LATE_NS):
             if not self._open_orphan():
                 self._account.count_unmatched([self._unmatched.pop(0)], self._open)
         bundles = []
@@ -146,16 +150,20 @@ class BundleAssembler:
             self._last_trigger = trigger
             self.counters.triggers_ignored += 1
             return
+        self._spoil_backgrounds(trigger)
         last = self._last_trigger
         if last is None or self._spacing_ns(last, trigger) >= self._dead_time_ns:
             self._last_trigger = trigger
             self._open_window(trigger)
             return
         self.counters.in_dead_time += 1
-        if self._open and self._open[-1].trigger.kind is BundleKind.BACKGROUND:
-            apart_ns = self._spacing_ns(self._open[-1].trigger, trigger)
-            self._open[-1].is_spoiled |= trigger.kind is not BundleKind.BACKGROUND and apart_ns < IN_VIEW_NS
         self._open_window(trigger, in_dead_time=True)
+
+    def _spoil_backgrounds(self, trigger: Trigger) -> None:
+        """Mark open exposures of the empty rig that show the stone of a new trigger."""
+        for window in self._open:
+            if window.trigger.kind is BundleKind.BACKGROUND and trigger.kind is not BundleKind.BACKGROUND:
+                window.is_spoiled |= abs(self._spacing_ns(window.trigger, trigger)) < IN_VIEW_NS
 
     def _spacing_ns(self, earlier: Trigger, later: Trigger) -> int:
         """Return the time between two triggers by the gate's own clock, by the host's if that was set in between.
@@ -182,6 +190,12 @@ class BundleAssembler:
             window.lost = dict.fromkeys(self._camera_ids, MissingReason.DEAD_TIME)
             return
         window.lost = dict.fromkeys(self._lost_cameras, MissingReason.CAMERA_LOST)
+        window.is_spoiled = trigger.kind is BundleKind.BACKGROUND and any(
+            other.trigger.kind is not BundleKind.BACKGROUND
+            and abs(self._spacing_ns(other.trigger, trigger)) < IN_VIEW_NS
+            for other in self._open
+            if other is not window
+        )
         for later_window in later:
             later_window.ordinal += 1
         self._n_exposing += 1
@@ -189,13 +203,15 @@ class BundleAssembler:
 
     def _open_orphan(self) -> bool:
         """Open a window for the oldest unmatched frames if most cameras exposed; return whether they did."""
-        expected_ns = self._unmatched[0].received_ns
+        expected_ns = self._exposed_ns(self._unmatched[0])
+        if expected_ns is None:
+            return False
         exposed = {
             event.camera
             for event in self._unmatched
             if isinstance(event, Frame)
-            and abs(event.received_ns - expected_ns) <= self._window_ns
-            and not self._exposures[event.camera].contradicts(event.device_ns, expected_ns - self._delay_ns)
+            and (exposed_ns := self._exposed_ns(event)) is not None
+            and abs(exposed_ns - expected_ns) <= self._window_ns
         }
         announced = [*(window.expected_ns for window in self._open), *self._account.closed_ns]
         if 2 * len(exposed) <= len(self._camera_ids) or any(
@@ -212,6 +228,20 @@ class BundleAssembler:
             self._last_sequence = trigger.sequence
         self._open_window(trigger)
         return True
+
+    def _exposed_ns(self, event: Frame | FrameLost) -> int | None:
+        """Return when a frame without a trigger should have come, by its camera's clock if that is known.
+
+        None when the clock proves that it was exposed long before.
+        """
+        received_ns = event.received_ns
+        if not isinstance(event, Frame):
+            return received_ns
+        trigger_ns = self._exposures[event.camera].trigger_ns(event.device_ns)
+        if trigger_ns is None or abs(trigger_ns - received_ns) > LATEST_FRAME_NS:
+            return received_ns  # not known, or set anew
+        expected_ns = trigger_ns + self._delay_ns
+        return expected_ns if -self._window_ns <= received_ns - expected_ns <= LATE_NS else None
 
     def _unseen(self, unseen: list[CounterGap]) -> list[FrameBundle]:
         """Return bundles without frames for triggers that only the gate's counter knows."""
@@ -235,11 +265,16 @@ class BundleAssembler:
 
     def _match(self, event: Frame | FrameLost) -> bool:
         """Give the event to the trigger that it belongs to; return False when there is none yet."""
-        for window in self._open:
-            # a camera's first frame cannot be compared with an earlier one: it may come until the next window opens
-            late_ns = self._dead_time_ns - self._window_ns if window.ordinal == 0 else self._window_ns
+        exposing = [window for window in self._open if not window.in_dead_time]
+        for window, later in zip_longest(exposing, exposing[1:]):
+            late_ns = self._window_ns
+            if window.ordinal == 0:
+                # a camera's first frame cannot be compared with an earlier one: it may come until the next window opens
+                late_ns = max(self._dead_time_ns - self._window_ns, LATE_NS)
+                if later is not None:
+                    late_ns = min(late_ns, later.expected_ns - self._window_ns - window.expected_ns)
             is_within = -self._window_ns <= event.received_ns - window.expected_ns <= late_ns
-            if not window.in_dead_time and is_within:
+            if is_within:
                 if isinstance(event, Frame):
                     self._add(window, event)
                 elif event.camera not in window.frames:
@@ -249,10 +284,41 @@ class BundleAssembler:
         if isinstance(event, Frame) and (owner := self._owner(event)) is not None:
             self._add(owner, event)
             return True
+        if isinstance(event, Frame) and (window := self._awaiting(event)) is not None:
+            self._add(window, event, is_late=True)
+            return True
         frame = event if isinstance(event, Frame) else None
         return self._account.count_after_close(event.camera, event.received_ns, frame)
 
-    def _add(self, window: OpenTrigger, frame: Frame) -> None:
+    def _exposure(self, frame: Frame, window: OpenTrigger) -> MatchedFrame:
+        """Return a frame paired with the trigger of a window."""
+        exposing_ns = [each.expected_ns for each in self._open if not each.in_dead_time]
+        apart_ns = min(
+            (
+                abs(other_ns - window.expected_ns)
+                for other_ns in (*exposing_ns, *self._account.closed_ns)
+                if other_ns != window.expected_ns
+            ),
+            default=LATEST_FRAME_NS,
+        )
+        return MatchedFrame(
+            frame.device_ns, frame.frame_id, window.trigger.received_ns, window.ordinal, apart_ns
+        )
+
+    def _awaiting(self, frame: Frame) -> OpenTrigger | None:
+        """Return the last trigger before a frame if it waits for this camera, and no later one had its window since."""
+        earlier = [window for window in self._open if window.expected_ns < frame.received_ns]
+        if not earlier or frame.device_ns == 0:
+            return None
+        last = earlier[-1]
+        is_last = all(
+            not last.expected_ns < closed_ns < frame.received_ns for closed_ns in self._account.closed_ns
+        )
+        is_near = frame.received_ns - last.expected_ns <= self._window_ns + LATE_NS
+        waits = not last.in_dead_time and frame.camera not in last.frames.keys() | last.lost.keys()
+        return last if is_last and is_near and waits else None
+
+    def _add(self, window: OpenTrigger, frame: Frame, *, is_late: bool = False) -> None:
         """Add a frame to a window unless it is a duplicate or another exposure; two different ones are dropped."""
         counters = self.counters.cameras[frame.camera]
         if window.lost.get(frame.camera) == MissingReason.AMBIGUOUS:
@@ -262,7 +328,7 @@ class BundleAssembler:
         if known is not None and known.frame_id == frame.frame_id:
             counters.duplicates += 1
             return
-        if not self._exposures[frame.camera].belongs(_exposure(frame, window)):
+        if not self._exposures[frame.camera].belongs(self._exposure(frame, window), is_late=is_late):
             owner = self._owner(frame)
             if owner is not None and owner is not window:
                 self._add(owner, frame)
@@ -287,7 +353,7 @@ class BundleAssembler:
                 for window in self._open
                 if not window.in_dead_time
                 and window.expected_ns < frame.received_ns
-                and check.proves(_exposure(frame, window))
+                and check.proves(self._exposure(frame, window))
             ),
             None,
         )
@@ -300,7 +366,3 @@ class BundleAssembler:
         else:
             self.counters.complete += 1
         return bundle
-
-
-def _exposure(frame: Frame, window: OpenTrigger) -> MatchedFrame:
-    return MatchedFrame(frame.device_ns, frame.frame_id, window.trigger.received_ns, window.ordinal)

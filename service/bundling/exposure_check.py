@@ -28,6 +28,7 @@ class MatchedFrame(NamedTuple):
     frame_id: int
     trigger_ns: int  # when the trigger's announcement arrived
     ordinal: int  # number of the trigger, among those that expose
+    apart_ns: int = LATEST_FRAME_NS  # from the trigger to the nearest other one
 
 
 @dataclass(slots=True)
@@ -39,8 +40,11 @@ class ExposureCheck:
     _refused: list[MatchedFrame] = field(default_factory=list)
     """The latest frames refused in a row that agree with one another."""
 
-    def belongs(self, exposure: MatchedFrame) -> bool:
+    def belongs(self, exposure: MatchedFrame, *, is_late: bool = False) -> bool:
         """True when the frame can have been exposed for its trigger; if so it is the next reference.
+
+        `is_late`: it came after the window of its trigger, which then is a guess; its camera's clock and counter
+        did not prove it. Only the frames before it can.
 
         Without a reference to compare with, only a frame of the very first trigger is accepted: any other may
         be a predecessor's that came late. It becomes the reference as soon as a second frame agrees with it.
@@ -48,25 +52,33 @@ class ExposureCheck:
         if exposure.device_ns == 0:  # a camera without a clock
             return True
         reference = self._reference
-        fits = exposure.ordinal == 0 if reference is None else self._misfit_ns(reference, exposure) == 0
+        fits = exposure.ordinal == 0 if reference is None else self._fits(reference, exposure)
         agrees = bool(self._refused) and self._misfit_ns(self._refused[-1], exposure) == 0
-        if fits or (agrees and self._was_set_anew([*self._refused, exposure])):
+        if (fits and not is_late) or (
+            agrees and self._was_set_anew([*self._refused, exposure], is_late=is_late)
+        ):
             self._reference, self._refused = exposure, []
             return True
         self._refused = [*self._refused[1 - MANY_FRAMES :], exposure] if agrees else [exposure]
         return False
 
-    def _was_set_anew(self, exposures: Sequence[MatchedFrame]) -> bool:
-        """True when refused frames that agree with one another show that the camera's clock was set.
+    def _was_set_anew(self, exposures: Sequence[MatchedFrame], *, is_late: bool) -> bool:
+        """True when refused frames that agree with one another show that the camera's clock or counter was set.
 
         Otherwise they are late by a trigger or more. No frame is late by as much as `LATEST_FRAME_NS`; of late ones the
         counter is behind; and many stones at irregular times cannot all be followed by their predecessors' frames.
         """
         reference, last = self._reference, exposures[-1]
+        if is_late and reference is None and len(exposures) < MANY_FRAMES:
+            return False
         if reference is None or self._misfit_ns(reference, last) > LATEST_FRAME_NS:
             return True
         if not all(_is_counted(*pair) for pair in pairwise(exposures)):
             return False
+        if (
+            self._misfit_ns(reference, last) == 0
+        ):  # its clock was right: the counter had skipped what it missed
+            return True
         spacings_ns = [later.trigger_ns - earlier.trigger_ns for earlier, later in pairwise(exposures)]
         is_irregular = max(spacings_ns) - min(spacings_ns) > 2 * self.tolerance_ns
         return _is_counted(reference, last) or (len(exposures) >= MANY_FRAMES and is_irregular)
@@ -77,21 +89,35 @@ class ExposureCheck:
         return (
             reference is not None
             and self._misfit_ns(reference, exposure) == 0
+            and self._is_sharp(reference, exposure)
             and _is_counted(*sorted((reference, exposure), key=attrgetter("ordinal")))
         )
 
-    def contradicts(self, device_ns: int, trigger_ns: int) -> bool:
-        """True when the reference proves that a frame was not exposed for a trigger at that time."""
+    def trigger_ns(self, device_ns: int) -> int | None:
+        """Return when the trigger of an exposure was, by the camera's clock; None without clock or reference."""
         if device_ns == 0 or self._reference is None:
-            return False
-        exposure = self._reference._replace(device_ns=device_ns, trigger_ns=trigger_ns)
-        return 0 < self._misfit_ns(self._reference, exposure) <= LATEST_FRAME_NS
+            return None
+        return self._reference.trigger_ns + device_ns - self._reference.device_ns
+
+    def _fits(self, earlier: MatchedFrame, later: MatchedFrame) -> bool:
+        """True when the clocks agree; where they may agree with another trigger as well, the counter must too."""
+        return self._misfit_ns(earlier, later) == 0 and (
+            self._is_sharp(earlier, later) or _is_counted(earlier, later)
+        )
+
+    def _is_sharp(self, earlier: MatchedFrame, later: MatchedFrame) -> bool:
+        """True when clocks that drifted apart since the earlier exposure still tell the trigger from the nearest."""
+        return later.apart_ns > self.tolerance_ns + 2 * self._drift_ns(earlier, later)
+
+    def _drift_ns(self, earlier: MatchedFrame, later: MatchedFrame) -> float:
+        """Largest drift of the two clocks from one exposure to the other."""
+        return CLOCK_DRIFT * abs(later.trigger_ns - earlier.trigger_ns)
 
     def _misfit_ns(self, earlier: MatchedFrame, later: MatchedFrame) -> float:
         """Difference of the two durations beyond the limits of jitter and drift; 0 when they agree."""
         by_camera_ns = later.device_ns - earlier.device_ns
         by_triggers_ns = later.trigger_ns - earlier.trigger_ns
-        allowed_ns = self.tolerance_ns + CLOCK_DRIFT * abs(by_triggers_ns)
+        allowed_ns = self.tolerance_ns + self._drift_ns(earlier, later)
         return max(0.0, abs(by_camera_ns - by_triggers_ns) - allowed_ns)
 
 

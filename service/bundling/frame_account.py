@@ -10,7 +10,7 @@ from pipeline.frames import CameraId, Frame, FrameBundle
 from service.bundling.exposure_check import id_step
 from service.bundling.window import OpenTrigger
 
-REMEMBERED_TRIGGERS = 16
+REMEMBERED_TRIGGERS = 64
 """Closed triggers that late frames are compared with."""
 
 

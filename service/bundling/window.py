@@ -1,12 +1,18 @@
 """One open trigger: when its frames are expected, which have come, and why others have not."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 
 from pipeline.frames import CameraId, Frame, FrameBundle, MissingReason, Trigger
 
 IN_VIEW_NS = 50_000_000
 """A stone within this time after a test pulse is in the picture or at its edge: it crosses the picture in 20 ms."""
+
+
+TRANSFER_MS = 8.0
+"""From an exposure to the middle of a short window; a frame that comes earlier than the exposure was dated wrongly."""
+MAX_WINDOW_SHARE = 0.45
+"""Half width of the window, where only the dead time is set, as a share of that."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +37,29 @@ class BundlingParameters:
     def quiet_s(self) -> float:
         """Time after a trigger until its stone has left the field of view and the cameras can expose again."""
         return max(self.dead_time_ms, self.expected_delay_ms) / 1e3 + IN_VIEW_NS / 1e9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BundlingSettings:
+    """`[bundling]` of the configuration; what is not set follows from the rig."""
+
+    expected_delay_ms: float | None = (
+        None  # default: 259.4; for stones in the air together 8 after the exposure
+    )
+    window_ms: float | None = None  # default: 100; for stones in the air together 10
+    dead_time_ms: float | None = (
+        None  # default: 220, or what the cameras are busy for; for stones in the air together 25
+    )
+
+    def __post_init__(self) -> None:
+        self.over(BundlingParameters())
+
+    def over(self, default: BundlingParameters) -> BundlingParameters:
+        """Return the parameters, with the default where nothing is set, and a window that fits a short dead time."""
+        set_ms = {name: value for name, value in asdict(self).items() if value is not None}
+        if self.dead_time_ms is not None and self.dead_time_ms <= 2 * default.window_ms:
+            set_ms.setdefault("window_ms", MAX_WINDOW_SHARE * self.dead_time_ms)
+        return replace(default, **set_ms)
 
 
 @dataclass(slots=True, kw_only=True)

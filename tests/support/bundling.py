@@ -16,6 +16,8 @@ MS = 1_000_000
 DELAY_NS = round(259.4 * MS)
 WINDOW_NS = 100 * MS
 PARAMETERS = BundlingParameters()
+QUICK = BundlingParameters(expected_delay_ms=255.4, window_ms=10, dead_time_ms=25)
+"""Of a rig whose gate makes the delay."""
 
 
 def trigger(sequence: int, at_ns: int, kind: BundleKind = BundleKind.PARTICLE) -> Trigger:

@@ -31,7 +31,7 @@ def test_frames_wait_for_a_late_trigger_and_are_strays_without_one() -> None:
     (bundle,) = feed_all(assembler, events)
     assert not bundle.missing
     feed_all(assembler, [frame(A, 1, 500 * MS)])
-    assembler.advance(600 * MS)
+    assembler.advance(601 * MS)
     assert assembler.counters.cameras[A].strays == 1
 
 
