@@ -9,7 +9,7 @@ from statistics import median
 from drivers.interfaces import TriggersLost
 from pipeline.frames import FrameBundle
 from service.base.messages import Code, CodedText, message
-from service.bundling.window import BundlingParameters
+from service.bundling.window import TRANSFER_MS, BundlingParameters
 
 RECENT_S = 60.0
 SILENT_STONES = 3
@@ -78,6 +78,8 @@ class GateWatch:
         for code, gaps in ((Code.GATE_COUNTED, self._counted), (Code.GATE_EDGES_MISSED, self._missed)):
             if n_stones := gaps.until(now_s):
                 found.append(message(code, stones=n_stones, reported=gaps.why))
-        if len(self._early_ms) == EARLY_STONES and median(self._early_ms) > self._bundling.window_ms / 2:
+        if len(self._early_ms) == EARLY_STONES and median(self._early_ms) > max(
+            self._bundling.window_ms / 2, TRANSFER_MS
+        ):
             found.append(message(Code.GATE_EARLY, early_ms=median(self._early_ms)))
         return tuple(found)

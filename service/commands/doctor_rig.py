@@ -172,7 +172,7 @@ def _opened(camera: Camera) -> CameraVitals | DeviceError:
 
 def check_gate(rig: LiveRigSettings) -> Finding:
     """Open the port of the light gate, wait for its answer, and close it again."""
-    gate = build_gate(rig.gate.device)
+    gate = build_gate(rig.gate.device, rig.gate_delay_us)
     wanted = "its port opens, it answers, its beam is open"
     try:
         gate.open()
@@ -189,10 +189,14 @@ def check_gate(rig: LiveRigSettings) -> Finding:
     return judged(
         "gate",
         is_good=not warnings,
-        found="; ".join(warnings) or f"{type(gate).__name__} answers",
+        found="; ".join(warnings) or f"{type(gate).__name__} answers{_delaying(rig)}",
         wanted=wanted,
         remedy="clear the beam, clean and align sensor and light",
     )
+
+
+def _delaying(rig: LiveRigSettings) -> str:
+    return f", and triggers the cameras {rig.gate_delay_us / 1e3:.2f} ms later" if rig.gate_delay_us else ""
 
 
 async def check_pulse(rig: LiveRigSettings, settings: Settings) -> list[Finding]:

@@ -10,7 +10,7 @@ from drivers.files.recording import open_recording, require_rig_of
 from drivers.files.rig_file import read_rig
 from pipeline.fall import blur_px, longest_exposure_us
 from pipeline.rig.cameras import RigCalibration
-from service.bundling.window import BundlingParameters
+from service.bundling.window import TRANSFER_MS, BundlingParameters, BundlingSettings
 from service.configuration.live_rig import LiveRigSettings
 from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings, RigSettings
 
@@ -21,13 +21,13 @@ BUSY_SLACK_MS = 30.0
 """Slack of the dead time, for a gate without a clock; a stone within it is lost for lack of frames."""
 
 
-def rig_problems(settings: RigSettings, bundling: BundlingParameters) -> Iterator[str]:
+def rig_problems(settings: RigSettings, bundling: BundlingSettings) -> Iterator[str]:
     """Yield the faults of the rig's settings, each with its field and the reason."""
     match settings:
         case ReplayRigSettings():
             yield from _replay_problems(settings)
         case LiveRigSettings():
-            yield from _live_problems(settings, bundling)
+            yield from _live_problems(settings, settings.bundling_for(bundling))
 
 
 def _replay_problems(settings: ReplayRigSettings) -> Iterator[str]:
@@ -95,13 +95,13 @@ def _placeholders(settings: LiveRigSettings) -> Iterator[str]:
 
 def timing_problems(settings: LiveRigSettings, bundling: BundlingParameters) -> Iterator[str]:
     """Yield the times of the bundling that do not fit the fall."""
-    if settings.bundling_for(bundling).dead_time_ms + BUSY_SLACK_MS < settings.busy_ms:
+    if bundling.dead_time_ms + BUSY_SLACK_MS < settings.busy_ms:
         yield (
             f"bundling.dead_time_ms: cameras ignore an edge for {settings.busy_ms:.1f} ms after another; a gate"
             f" without a clock has {BUSY_SLACK_MS:g} ms of slack: must be at least"
             f" {settings.busy_ms - BUSY_SLACK_MS:.0f}, not {bundling.dead_time_ms:g}"
         )
-    if abs(bundling.expected_delay_ms - settings.exposed_ms) > bundling.window_ms / 2:
+    if abs(bundling.expected_delay_ms - settings.exposed_ms) > max(bundling.window_ms / 2, TRANSFER_MS):
         yield (
             f"bundling.expected_delay_ms: frames come {settings.exposed_ms:.1f} ms after their trigger"
             f" (fall of {settings.fall_height_mm:g} mm), not {bundling.expected_delay_ms:g}"
@@ -141,7 +141,7 @@ def transfer_problems(
         )
     largest_bytes = max(width * height for width, height in (c.image_size_px for c in calibration.cameras))
     transfer_ms = largest_bytes / packet_bytes * per_packet_s * 1e3
-    if transfer_ms > bundling.window_ms:
+    if transfer_ms > bundling.window_ms + max(0.0, bundling.expected_delay_ms - settings.exposed_ms):
         yield (
             f"rig.throughput_limit_bytes_s: a frame takes {transfer_ms:.0f} ms to arrive,"
             f" more than bundling.window_ms = {bundling.window_ms:g}"

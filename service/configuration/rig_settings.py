@@ -24,8 +24,8 @@ from pipeline.fall import Fall
 from pipeline.rig.cameras import RigCalibration
 from service.base.paths import ConfiguredPath
 from service.base.schema import require_ranges
-from service.bundling.window import BundlingParameters
-from service.configuration.live_rig import LiveRigSettings, Place
+from service.bundling.window import BundlingParameters, BundlingSettings
+from service.configuration.live_rig import DelayMaker, LiveRigSettings, Place
 
 SOURCE = re.compile(r"[A-Z][A-Za-z0-9_]{1,63}")
 """Name of an entry of TriggerSource."""
@@ -51,8 +51,8 @@ class ReplayRigSettings:
     def calibration_path(self) -> Path:
         return self.calibration or self.recording / "rig.json"
 
-    def bundling_for(self, bundling: BundlingParameters) -> BundlingParameters:
-        return bundling
+    def bundling_for(self, bundling: BundlingSettings) -> BundlingParameters:
+        return bundling.over(BundlingParameters())
 
     def backend_for(self, calibration: RigCalibration) -> ReplayBackend:
         return ReplayBackend(recording=self.recording, pace=self.pace, speed=self.speed, loop=self.loop)
@@ -116,6 +116,10 @@ class AravisRigSettings(LiveRigSettings):
     def __post_init__(self) -> None:
         LiveRigSettings.__post_init__(self)
         require_ranges(self, link_bytes_s=(1e6, 1e12), uplink_bytes_s=(1e6, 1e12))
+        if self.trigger in ("software", "action") and self.delay_is_made_by is not DelayMaker.CAMERA:
+            raise ValueError(
+                f'delay: this machine triggers the cameras ({self.trigger}): nothing but they can make it ("camera")'
+            )
         if self.trigger not in ("software", "action"):
             _require_source("trigger", self.trigger)
         for place in self.cameras:
@@ -146,6 +150,7 @@ class AravisRigSettings(LiveRigSettings):
         return AravisBackend(
             cameras=tuple(self._camera(camera, sizes_px[camera.id]) for camera in self.cameras),
             gate=self.gate.device,
+            gate_delay_us=self.gate_delay_us,
             interfaces=self.interfaces,
             fired_by=self._fired_by,
             is_simulated=self.is_simulated,

@@ -23,7 +23,7 @@ from service.acquisition.empty_rig import EmptyRigParameters
 from service.base.errors import SettingsError, StoreError, VolumeModelError
 from service.base.paths import ConfiguredPath
 from service.base.schema import Live, require_ranges
-from service.bundling.window import BundlingParameters
+from service.bundling.window import BundlingSettings
 from service.calibration.verification_limits import VerificationParameters
 from service.configuration.rig_checks import rig_problems
 from service.configuration.rig_settings import BACKENDS, RigSettings
@@ -95,7 +95,7 @@ class Settings(BaseModel):
     rig: RigSettings
     spool: SpoolSettings
     store: StoreSettings
-    bundling: BundlingParameters = BundlingParameters()
+    bundling: BundlingSettings = BundlingSettings()
     empty_rig: EmptyRigParameters = EmptyRigParameters()
     segmentation: SegmentationSettings = SegmentationSettings()
     views: ViewsParameters = ViewsParameters()

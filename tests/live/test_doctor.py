@@ -67,7 +67,7 @@ def test_cameras_of_seven_vendors_are_set_alike_and_what_was_left_on_is_told(tmp
     write_small_recording(tmp_path / "source", n_stones=1)
     config = tmp_path / "stonefall.toml"
     vendors = tuple(PERSONALITIES)
-    delayed = {"vendors": vendors, "gate_delay_ms": 247.2}
+    delayed = {"vendors": vendors, "timer_ms": 247.2}
     with simulated_rig(tmp_path, tmp_path / "source", number=6, **delayed) as rig:
         rest = '[spool]\ndir = "/run/stonefall"\n[store]\ndir = "state"\nretention.min_free_gb = 0.0\n[api]\nport = 1\n'
         config.write_text(

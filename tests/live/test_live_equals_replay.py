@@ -1,7 +1,8 @@
 """What is measured of real packets is what the replay backend measures of the same recording, bit for bit.
 
 One recording with what the fault table wants rejected, played by the replay backend and by a simulated rig to the
-real drivers, on a network that loses every hundredth packet.
+real drivers, on a network that loses every hundredth packet: as fast as cameras take stones that wait for each, and ten
+a second, up to three in the air together, where the gate makes the delay.
 """
 
 import os
@@ -72,13 +73,16 @@ def replayed(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> 
         return Run(daemon, all_results(daemon))
 
 
-@pytest.fixture(scope="module")
-def live(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Run, LiveRig]]:
-    folder = tmp_path_factory.mktemp("live")
-    with simulated_rig(folder, recording.path, is_looping=False, number=2) as rig:
+@pytest.fixture(scope="module", params=[("camera", 4.0), ("gate", 10.0)], ids=["cameras wait", "in the air"])
+def live(
+    request: pytest.FixtureRequest, recording: Recording, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[Run, LiveRig]]:
+    folder, (delay, rate_hz) = tmp_path_factory.mktemp("live"), request.param
+    with simulated_rig(folder, recording.path, rate_hz=rate_hz, is_looping=False, number=2) as rig:
         for camera in rig.cameras.values():
             camera.faults.packet_loss = PACKET_LOSS
-        section = live_section(rig, folder, recording.path, by_address=True, at_start=0)
+        more = f'delay = "{delay}"'
+        section = live_section(rig, folder, recording.path, more=more, by_address=True, at_start=0)
         with DaemonProcess(folder, recording.path, rig=section) as daemon:
             daemon.hear("READY=1")
             live = LiveRig(rig, daemon)

@@ -68,7 +68,8 @@ def simulated_rig(
     only_stones: bool = False,
     strobe_line: str | None = None,
     vendors: tuple[str, ...] = (),
-    gate_delay_ms: float = 0.0,
+    timer_ms: float = 0.0,
+    gate_places: int = 8,
 ) -> Iterator[SimulatedRig]:
     """The belt stands until it is started."""
     design = RigDesign(
@@ -80,7 +81,8 @@ def simulated_rig(
         sight_ms=sight_ms,
         strobe_line=strobe_line,
         vendors=vendors,
-        gate_delay_ms=gate_delay_ms,
+        timer_ms=timer_ms,
+        gate_places=gate_places,
     )
     with SimulatedRig(design, open_recording(recording)) as rig:
         yield rig

@@ -22,6 +22,7 @@ from pipeline.measuring.volume_correction import VolumeModel
 from pipeline.particle import PipelineParameters
 from pipeline.rig.design import nominal_rig
 from service.base.errors import SettingsError, VolumeModelError
+from service.bundling.window import BundlingParameters
 from service.commands.cli import build_app
 from service.configuration.rig_checks import rig_warnings, timing_problems
 from service.configuration.rig_settings import AravisRigSettings, CameraPlace
@@ -540,13 +541,73 @@ def test_a_delay_outside_of_the_cameras_is_not_theirs(tmp_path: Path) -> None:
     settings = load_settings(tmp_path / "stonefall.toml")
     rig = settings.rig
     assert isinstance(rig, AravisRigSettings)
-    assert list(timing_problems(rig, settings.bundling)) == []
+    assert list(timing_problems(rig, rig.bundling_for(settings.bundling))) == []
     assert {dict(camera.features)["TriggerDelay"] for camera in rig.sought_cameras()} == {152.0}
     assert rig.exposed_ms == pytest.approx(247.372, abs=0.001)
     assert rig.busy_ms == pytest.approx(0.172, abs=0.001)
-    assert rig.bundling_for(settings.bundling).dead_time_ms == settings.bundling.dead_time_ms
+    assert rig.bundling_for(settings.bundling) == BundlingParameters()  # as before there was `delay`
     whole = replace(rig, delay_outside_ms=rig.trigger_delay_ms)
     assert {dict(camera.features)["TriggerDelay"] for camera in whole.sought_cameras()} == {0.0}
+
+
+QUICK = ("[rig]", '[rig]\ndelay = "gate"')
+
+
+def test_a_delay_of_the_gate_lets_stones_be_in_the_air_together(tmp_path: Path) -> None:
+    assert live_problems(tmp_path, QUICK) == []
+    settings = load_settings(tmp_path / "stonefall.toml")
+    rig = settings.rig
+    assert isinstance(rig, AravisRigSettings)
+    assert {dict(camera.features)["TriggerDelay"] for camera in rig.sought_cameras()} == {0.0}
+    assert rig.backend_for(nominal_rig()).gate_delay_us == rig.gate_delay_us == 247_352
+    bundling = rig.bundling_for(settings.bundling)
+    assert (bundling.window_ms, bundling.dead_time_ms) == (10, 25)
+    assert bundling.expected_delay_ms == pytest.approx(255.372, abs=0.001)
+
+
+def test_a_timer_makes_all_of_the_delay_or_what_is_said(tmp_path: Path) -> None:
+    for more, delay_us in (("", 0.0), ("\ndelay_outside_ms = 200", 47_352.0)):
+        assert live_problems(tmp_path, ("[rig]", f'[rig]\ndelay = "timer"{more}')) == []
+        rig = load_settings(tmp_path / "stonefall.toml").rig
+        assert isinstance(rig, AravisRigSettings)
+        assert {dict(camera.features)["TriggerDelay"] for camera in rig.sought_cameras()} == {delay_us}
+        assert rig.gate_delay_us == 0
+
+
+@pytest.mark.parametrize(
+    "section", ["window_ms = 5", "dead_time_ms = 15", "dead_time_ms = 300", "window_ms = 90"]
+)
+def test_what_is_said_of_the_bundling_holds_with_stones_in_the_air(tmp_path: Path, section: str) -> None:
+    assert live_problems(tmp_path, QUICK, ("[spool]", f"[bundling]\n{section}\n[spool]")) == []
+    settings = load_settings(tmp_path / "stonefall.toml")
+    bundling = settings.rig.bundling_for(settings.bundling)
+    name, value = section.split(" = ")
+    assert getattr(bundling, name) == float(value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        (
+            [("[rig]", '[rig]\ndelay = "camera"\ndelay_outside_ms = 5')],
+            'rig: delay = "camera" leaves nothing outside',
+        ),
+        (
+            [QUICK, ("[rig.gate.serial]", "[rig.gate.modem_line]")],
+            'rig: delay = "gate" needs [rig.gate.serial]',
+        ),
+        (
+            [("[rig]", '[rig]\ndelay = "gate"\ntrigger = "action"')],
+            "rig: delay: this machine triggers the cameras",
+        ),
+        ([("[rig]", '[rig]\ndelay = "host"')], "rig.delay"),
+    ],
+)
+def test_a_delay_that_nothing_can_make_is_refused(
+    tmp_path: Path, changes: list[tuple[str, str]], problem: str
+) -> None:
+    with pytest.raises(SettingsError, match=re.escape(problem)):
+        live_problems(tmp_path, *changes)
 
 
 def test_check_config_prints_settings_that_it_reads_again(tmp_path: Path):
