@@ -52,7 +52,7 @@ DEFAULTS_OF_ABSENT: frozenset[Feature] = frozenset(
 REMEDIES: dict[str, str] = {
     "AcquisitionBurstFrameCount": "it has no trigger of single frames, only one after which it runs freely",
     "GevSCPSPacketSize": "set packet_size_bytes to a size that all cameras can send",
-    "TriggerDelay": "let gate or timer make the delay, and set delay_outside_ms",
+    "TriggerDelay": "let gate or timer make the delay (rig.delay)",
     "TriggerSource": "set trigger, of the rig or of this camera, to one of them",
 }
 """What to do about a setting that comes from elsewhere than from `features`, when a camera cannot do it."""

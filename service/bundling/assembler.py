@@ -34,7 +34,7 @@ from drivers.interfaces import (
 )
 from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, MissingReason, Trigger
 from service.bundling.exposure_check import LATEST_FRAME_NS, ExposureCheck, MatchedFrame
-from service.bundling.frame_account import BundlingCounters, CameraCounters, FrameAccount
+from service.bundling.frame_account import REMEMBERED_TRIGGERS, BundlingCounters, CameraCounters, FrameAccount
 from service.bundling.missed_triggers import CounterGap, MissedTriggers
 from service.bundling.window import IN_VIEW_NS, BundlingParameters, OpenTrigger
 
@@ -62,6 +62,7 @@ class BundleAssembler:
         self.missed = MissedTriggers(self._window_ns)
         self._n_exposing = 0
         self._last_sequence = 0
+        self._announced: deque[Trigger] = deque(maxlen=REMEMBERED_TRIGGERS)
         self._last_trigger: Trigger | None = None  # outside of the dead time
         self._exposures = {camera: ExposureCheck(self._window_ns) for camera in self._camera_ids}
         self.counters = BundlingCounters(cameras={camera: CameraCounters() for camera in self._camera_ids})
@@ -146,6 +147,7 @@ class BundleAssembler:
         is_orphan = self.has_orphan_of(trigger)
         self.missed.note_announced(trigger)
         self._last_sequence = trigger.sequence
+        self._announced.append(trigger)
         if is_orphan:
             self._last_trigger = trigger
             self.counters.triggers_ignored += 1
@@ -175,7 +177,7 @@ class BundleAssembler:
         has_clock = earlier.device_ns and later.device_ns
         return by_gate_ns if has_clock and abs(by_gate_ns - by_host_ns) < self._window_ns else by_host_ns
 
-    def _open_window(self, trigger: Trigger, *, in_dead_time: bool = False) -> None:
+    def _open_window(self, trigger: Trigger, *, in_dead_time: bool = False) -> OpenTrigger:
         self.counters.triggers += 1
         expected_ns = trigger.received_ns + self._delay_ns
         later = [window for window in self._open if window.expected_ns > expected_ns]
@@ -188,7 +190,7 @@ class BundleAssembler:
         self._open.insert(len(self._open) - len(later), window)
         if in_dead_time:
             window.lost = dict.fromkeys(self._camera_ids, MissingReason.DEAD_TIME)
-            return
+            return window
         window.lost = dict.fromkeys(self._lost_cameras, MissingReason.CAMERA_LOST)
         window.is_spoiled = trigger.kind is BundleKind.BACKGROUND and any(
             other.trigger.kind is not BundleKind.BACKGROUND
@@ -200,33 +202,37 @@ class BundleAssembler:
             later_window.ordinal += 1
         self._n_exposing += 1
         self._unmatched = [event for event in self._unmatched if not self._match(event)]
+        return window
 
     def _open_orphan(self) -> bool:
         """Open a window for the oldest unmatched frames if most cameras exposed; return whether they did."""
         expected_ns = self._exposed_ns(self._unmatched[0])
         if expected_ns is None:
             return False
-        exposed = {
-            event.camera
+        own = [
+            event
             for event in self._unmatched
             if isinstance(event, Frame)
             and (exposed_ns := self._exposed_ns(event)) is not None
             and abs(exposed_ns - expected_ns) <= self._window_ns
-        }
+        ]
         announced = [*(window.expected_ns for window in self._open), *self._account.closed_ns]
-        if 2 * len(exposed) <= len(self._camera_ids) or any(
+        if 2 * len({frame.camera for frame in own}) <= len(self._camera_ids) or any(
             abs(expected_ns - other_ns) < self._dead_time_ns for other_ns in announced
         ):
             return False
         self.counters.orphans += 1
         trigger = self._unannounced(expected_ns - self._delay_ns)
         self.missed.note_orphan(trigger.received_ns)
-        later = next((window.trigger for window in self._open if window.expected_ns > expected_ns), None)
-        if later is not None:
-            trigger = replace(trigger, sequence=later.sequence - 1)
+        later = [known.sequence for known in self._announced if known.received_ns > trigger.received_ns]
+        if later:
+            trigger = replace(trigger, sequence=later[0] - 1)
         else:
             self._last_sequence = trigger.sequence
-        self._open_window(trigger)
+        self._unmatched = [event for event in self._unmatched if all(event is not frame for frame in own)]
+        window = self._open_window(trigger)
+        for frame in own:
+            self._add(window, frame)
         return True
 
     def _exposed_ns(self, event: Frame | FrameLost) -> int | None:
@@ -316,7 +322,11 @@ class BundleAssembler:
         )
         is_near = frame.received_ns - last.expected_ns <= self._window_ns + LATE_NS
         waits = not last.in_dead_time and frame.camera not in last.frames.keys() | last.lost.keys()
-        return last if is_last and is_near and waits else None
+        if not (is_last and is_near and waits):
+            return None
+        may_be_orphan = self._exposed_ns(frame) not in (None, frame.received_ns)
+        fits = self._exposures[frame.camera].fits(self._exposure(frame, last))
+        return last if fits or not may_be_orphan else None
 
     def _add(self, window: OpenTrigger, frame: Frame, *, is_late: bool = False) -> None:
         """Add a frame to a window unless it is a duplicate or another exposure; two different ones are dropped."""

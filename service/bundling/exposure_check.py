@@ -43,8 +43,8 @@ class ExposureCheck:
     def belongs(self, exposure: MatchedFrame, *, is_late: bool = False) -> bool:
         """True when the frame can have been exposed for its trigger; if so it is the next reference.
 
-        `is_late`: it came after the window of its trigger, which then is a guess; its camera's clock and counter
-        did not prove it. Only the frames before it can.
+        `is_late`: it came after the window of its trigger, which then is a guess; its camera's counter must not
+        contradict, unless the frames before it agree.
 
         Without a reference to compare with, only a frame of the very first trigger is accepted: any other may
         be a predecessor's that came late. It becomes the reference as soon as a second frame agrees with it.
@@ -52,11 +52,14 @@ class ExposureCheck:
         if exposure.device_ns == 0:  # a camera without a clock
             return True
         reference = self._reference
-        fits = exposure.ordinal == 0 if reference is None else self._fits(reference, exposure)
+        fits = exposure.ordinal == 0 if reference is None else self.fits(exposure)
+        if (
+            is_late and reference is not None
+        ):  # a later trigger's would be ahead of its camera's counter, not behind
+            n_exposed = id_step(reference.frame_id, exposure.frame_id)
+            fits = fits and n_exposed is not None and n_exposed >= exposure.ordinal - reference.ordinal
         agrees = bool(self._refused) and self._misfit_ns(self._refused[-1], exposure) == 0
-        if (fits and not is_late) or (
-            agrees and self._was_set_anew([*self._refused, exposure], is_late=is_late)
-        ):
+        if fits or (agrees and self._was_set_anew([*self._refused, exposure], is_late=is_late)):
             self._reference, self._refused = exposure, []
             return True
         self._refused = [*self._refused[1 - MANY_FRAMES :], exposure] if agrees else [exposure]
@@ -99,10 +102,13 @@ class ExposureCheck:
             return None
         return self._reference.trigger_ns + device_ns - self._reference.device_ns
 
-    def _fits(self, earlier: MatchedFrame, later: MatchedFrame) -> bool:
+    def fits(self, exposure: MatchedFrame) -> bool:
         """True when the clocks agree; where they may agree with another trigger as well, the counter must too."""
-        return self._misfit_ns(earlier, later) == 0 and (
-            self._is_sharp(earlier, later) or _is_counted(earlier, later)
+        reference = self._reference
+        return (
+            reference is not None
+            and self._misfit_ns(reference, exposure) == 0
+            and (self._is_sharp(reference, exposure) or _is_counted(reference, exposure))
         )
 
     def _is_sharp(self, earlier: MatchedFrame, later: MatchedFrame) -> bool:

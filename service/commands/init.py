@@ -21,6 +21,7 @@ from service.base.errors import SettingsError, UsageError
 from service.base.tables.files import NamedColumn, read_rows
 from service.commands.cameras import ipv4_address
 from service.commands.options import DensityOptions, with_options
+from service.configuration.live_rig import DelayMaker
 from service.configuration.rig_checks import rig_warnings
 from service.configuration.rig_settings import CameraPlace
 from service.configuration.settings import Settings, load_settings, problems, shortcomings
@@ -51,6 +52,8 @@ class InitOptions:
     """Port of a light gate with a serial line."""
     strobe_line: Annotated[str | None, typer.Option(metavar="LINE")] = None
     """Output of the cameras that fires the light panels, such as Line2."""
+    delay: DelayMaker | None = None
+    """What makes the delay from gate to exposure; with gate or timer more than four stones a second can be measured."""
     flash_us: Annotated[float | None, typer.Option(min=0.1)] = None
     """Light of one flash, if shorter than the exposure of 20 us."""
     store: Path = Path("/var/lib/stonefall")
@@ -109,6 +112,7 @@ def command(options: InitOptions, density: DensityOptions) -> None:
         cameras=named,
         places=rig.camera_ids,
         gate=gate,
+        delay=options.delay and options.delay.value,
         strobe_line=strobe_line,
         flash_us=flash_us,
         calibration=rig_file,

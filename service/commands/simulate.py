@@ -59,6 +59,10 @@ class SimulateOptions:
     """Path of the control socket; default: in a temporary folder."""
     uplink: Annotated[float | None, typer.Option(min=1)] = None
     """Rate that all cameras share behind a switch, MB/s; default: no limit."""
+    gate_places: Annotated[int, typer.Option(min=0)] = 8
+    """Pulses to the cameras that can wait in the gate, which makes the delay it is set to; 0: it cannot make any."""
+    timer: Annotated[float, typer.Option(min=0)] = 0.0
+    """Delay of a generator in the line from gate to cameras, ms."""
     seed: Annotated[int, typer.Option(min=0)] = 0
     """Equal seeds give equal clocks, faults and rendered bodies."""
     bodies: str = "stones"
@@ -98,6 +102,8 @@ def command(options: SimulateOptions) -> None:
             n_cameras=options.cameras,
             rate_hz=options.rate,
             is_looping=options.loop,
+            gate_places=options.gate_places,
+            timer_ms=options.timer,
             uplink_bytes_s=options.uplink and options.uplink * 1e6,
             seed=options.seed,
         )

@@ -18,6 +18,7 @@ from pipeline.errors import MeshError
 from pipeline.fall import GRAVITY_MM_S2, Fall
 from pipeline.frames import BundleKind, rfc3339
 from pipeline.measuring import ShapeMeasurement, measure_shape
+from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, Looks, SurfaceKind, ball, body_from_mesh, cube, cylinder, sphere
 from pipeline.synthesis.bundles import FIRST_UTC, Timing, render_bundle, render_empty, stream
@@ -76,6 +77,8 @@ class SynthesizeOptions:
     """Equal seeds give equal images."""
     rig: Path | None = None
     """Rig file of the cameras; default: the design with seeded deviations."""
+    shrink: Annotated[int, typer.Option(min=1, max=8)] = 1
+    """Images of 1/N of the pixels in each direction, for a machine that is too slow for whole ones."""
     backgrounds: Annotated[int, typer.Option(min=0, max=1000)] = 5
     """Number of exposures of the empty rig, before the bodies."""
     size_mm: Annotated[float | None, typer.Option(min=1, max=45)] = None
@@ -116,6 +119,7 @@ def command(options: SynthesizeOptions) -> None:
     exposure = changed(exposure, blur_px=options.blur_px, read_noise=options.read_noise)
     design = nominal_rig(created_at=rfc3339(FIRST_UTC, "auto"))
     true_rig = as_built(design, options.seed) if options.rig is None else read_rig(options.rig)
+    design, true_rig = _shrunk(design, options.shrink), _shrunk(true_rig, options.shrink)
     names = [name.strip() for name in options.bodies.split(",")]
     timing = Timing(period_ns=round(1e9 / options.rate_hz))
     writer = RecordingWriter(
@@ -188,6 +192,23 @@ def command(options: SynthesizeOptions) -> None:
         if options.as_json
         else f"{options.out}: {options.count} bodies, {options.backgrounds} exposures of the empty rig"
     )
+
+
+def _shrunk(rig: RigCalibration, n: int) -> RigCalibration:
+    """Return the rig with pixels `n` times as large in each direction."""
+    if n == 1:
+        return rig
+    offset = (1 / n - 1) / 2  # centres of pixels are on integers, so the image begins at -0.5
+    scale = np.array([[1 / n, 0, offset], [0, 1 / n, offset], [0, 0, 1]])
+    cameras = (
+        replace(
+            camera,
+            image_size_px=(camera.image_size_px[0] // n, camera.image_size_px[1] // n),
+            K=scale @ camera.K,
+        )
+        for camera in rig.cameras
+    )
+    return replace(rig, cameras=tuple(cameras))
 
 
 def _fallen_mm(late_ms: float) -> float:

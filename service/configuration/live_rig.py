@@ -160,7 +160,7 @@ class LiveRigSettings(ABC):
 
     @property
     def delay_is_made_by(self) -> DelayMaker:
-        """Return what makes the delay, or most of it."""
+        """Return the maker of the delay, or of most of it."""
         return self.delay or (DelayMaker.TIMER if self.delay_outside_ms else DelayMaker.CAMERA)
 
     @property

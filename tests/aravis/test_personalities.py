@@ -279,11 +279,11 @@ def test_an_exposure_between_the_modes_is_refused_and_the_mode_is_left() -> None
 def test_a_delay_beyond_the_camera_is_refused_with_the_remedy() -> None:
     features = (*settings_for(design(), source="Line0").features, ("TriggerDelay", 247_400.0))
     problem = refused(FLIR, features=features)
-    assert "it can do 0 to 65520: let gate or timer make the delay, and set delay_outside_ms" in problem
+    assert "it can do 0 to 65520: let gate or timer make the delay (rig.delay)" in problem
     problem = refused(replace(PLAIN, lacks=frozenset({"TriggerDelay"})), features=features[-1:])
     assert (
         problem
-        == "c02: has no TriggerDelay nor TriggerDelayAbs: let gate or timer make the delay, and set delay_outside_ms"
+        == "c02: has no TriggerDelay nor TriggerDelayAbs: let gate or timer make the delay (rig.delay)"
     )
 
 

@@ -79,8 +79,10 @@ def test_it_ends_with_the_daemon(daemon: DaemonProcess):
     assert watch.returncode == 1
 
 
-@pytest.mark.parametrize("arguments", [["--twice"], ["--lens"], ["--lens", "f1"]])
+@pytest.mark.parametrize(
+    "arguments", [["--twice"], ["--lens"], ["--lens", "f1"], ["--rate", "10"], ["--gige", "--rate", "quick"]]
+)
 def test_unknown_arguments_are_refused(arguments: list[str]):
     done = subprocess.run([DEPLOY / "demo", *arguments], check=False, capture_output=True, text=True)
-    usage = "usage: deploy/demo [--gige] [--once] [--lens f2|f4|f8|sharp]\n"
+    usage = "usage: deploy/demo [--gige [--rate HZ]] [--once] [--lens f2|f4|f8|sharp]\n"
     assert (done.returncode, done.stdout, done.stderr) == (2, "", usage)

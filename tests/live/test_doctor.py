@@ -78,7 +78,7 @@ def test_cameras_of_seven_vendors_are_set_alike_and_what_was_left_on_is_told(tmp
         assert code == 1
         fault = found["settings of c02"]  # whose delay is too short for the fall
         assert "cannot set TriggerDelay to 24735" in fault["found"]
-        assert "let gate or timer make the delay, and set delay_outside_ms" in fault["found"]
+        assert "let gate or timer make the delay (rig.delay)" in fault["found"]
         assert found["settings of cameras"]["found"] == "13 of 16 are set as configured"  # three are FLIR's
         put_back = {
             camera.design.ways.resembles: found[f"settings of {name}"]["found"]

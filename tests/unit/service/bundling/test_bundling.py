@@ -8,6 +8,8 @@ from support.bundling import (
     DELAY_NS,
     MS,
     PARAMETERS,
+    QUICK,
+    QUICK_DELAY_NS,
     WINDOW_NS,
     A,
     B,
@@ -111,6 +113,28 @@ def test_a_background_with_a_stone_in_it_shows_nothing(after_ms: int, is_in_view
     assert set(background.missing.values()) == ({"stone_passed"} if is_in_view else set())
     assert len(background.frames) == (0 if is_in_view else 3)
     assert set(stone.missing.values()) == {"dead_time"}
+
+
+@pytest.mark.parametrize("is_stone_first", [True, False])
+@pytest.mark.parametrize(("apart_ms", "is_in_view"), [(30, True), (60, False)])
+def test_a_stone_beside_a_test_pulse_is_measured_and_spoils_only_the_background(
+    apart_ms: int, is_in_view: bool, is_stone_first: bool
+) -> None:
+    assembler = BundleAssembler(CAMERAS, QUICK)
+    kinds = [BundleKind.BACKGROUND, BundleKind.PARTICLE]
+    if is_stone_first:
+        kinds.reverse()
+    times_ns = [0, apart_ms * MS]
+    events = [
+        trigger(number, at_ns, kind) for number, (at_ns, kind) in enumerate(zip(times_ns, kinds, strict=True))
+    ]
+    bundles = feed_all(assembler, events)
+    for number, at_ns in enumerate(times_ns):
+        bundles += feed_all(assembler, [frame(camera, number, at_ns + QUICK_DELAY_NS) for camera in CAMERAS])
+    by_kind = {bundle.kind: bundle for bundle in bundles}
+    assert not by_kind[BundleKind.PARTICLE].missing
+    missing = set(by_kind[BundleKind.BACKGROUND].missing.values())
+    assert missing == ({"stone_passed"} if is_in_view else set())
 
 
 def test_the_width_of_the_pulse_is_known_before_the_bundle_is() -> None:

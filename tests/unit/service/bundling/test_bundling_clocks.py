@@ -6,6 +6,8 @@ from support.bundling import (
     DELAY_NS,
     MS,
     PARAMETERS,
+    QUICK,
+    QUICK_DELAY_NS,
     WINDOW_NS,
     A,
     B,
@@ -197,3 +199,48 @@ def test_a_camera_that_kept_its_power_kept_its_clock(cause: LossCause, is_measur
     events = [frame(camera, 1, at_ns + DELAY_NS, frame_id=1, device_ns=7 + at_ns) for camera in CAMERAS]
     bundles = feed_all(assembler, [trigger(1, at_ns), *events]) + assembler.flush()
     assert [tags(bundle) for bundle in bundles] == [{1} if is_measured else set()]
+
+
+@pytest.mark.parametrize("late_ms", [0, 15, 60])
+def test_a_camera_that_missed_an_exposure_is_believed_again_however_late_its_frames_are(late_ms: int) -> None:
+    """Its counter is behind by one from then on, and no frame comes within the short window."""
+    assembler, period_ns, bundles = BundleAssembler(CAMERAS, QUICK), 100 * MS, []
+    events: list[tuple[int, DeviceEvent]] = []
+    for number in range(8):
+        at_ns = number * period_ns
+        events.append((at_ns, trigger(number, at_ns)))
+        for camera in CAMERAS:
+            arrival_ns = at_ns + QUICK_DELAY_NS + (late_ms * MS if camera == A else 0)
+            has_missed = camera == A and number > 3
+            shot = frame(camera, number, arrival_ns, number + 1 - has_missed, device_ns=7 + at_ns)
+            if (camera, number) != (A, 3):
+                events.append((arrival_ns, shot))
+    for now_ns, event in sorted(events, key=lambda event: event[0]):
+        bundles += assembler.advance(now_ns) + assembler.feed(event)
+    bundles += assembler.flush()
+    assert [tags(bundle) for bundle in bundles] == [{number} for number in range(8)]
+    first_after = {4} if late_ms > QUICK.window_ms else set()  # the counter is behind
+    assert {n for n, bundle in enumerate(bundles) if A in bundle.missing} == {3} | first_after
+
+
+@pytest.mark.parametrize(("late_ms", "n_refused"), [(0, 1), (15, 7)])
+def test_a_camera_that_comes_back_among_stones_in_the_air_gives_them_no_frame_of_another(
+    late_ms: int, n_refused: int
+) -> None:
+    assembler, bundles = BundleAssembler(CAMERAS, QUICK), []
+    times_ns = [at_ms * MS for at_ms in (0, 100, 230, 330, 480, 580, 660, 800, 950, 1050, 1150, 1300)]
+    events: list[tuple[int, DeviceEvent]] = [
+        (-2, CameraLost(camera=A, received_ns=-2, reason="gone", cause=LossCause.SILENT)),
+        (90 * MS, CameraBack(camera=A, received_ns=90 * MS)),
+    ]
+    for number, at_ns in enumerate(times_ns):
+        events.append((at_ns, trigger(number, at_ns)))
+        for camera in CAMERAS:
+            arrival_ns = at_ns + QUICK_DELAY_NS + (late_ms * MS if camera == A else 0)
+            if camera != A or number:
+                events.append((arrival_ns, frame(camera, number, arrival_ns, device_ns=7 + at_ns)))
+    for now_ns, event in sorted(events, key=lambda event: event[0]):
+        bundles += assembler.advance(now_ns) + assembler.feed(event)
+    bundles += assembler.flush()
+    assert [tags(bundle) for bundle in bundles] == [{number} for number in range(len(times_ns))]
+    assert sum(A in bundle.missing for bundle in bundles) == 1 + n_refused

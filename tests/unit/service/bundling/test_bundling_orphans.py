@@ -2,11 +2,14 @@
 
 import sys
 
+import pytest
 from support.bundling import (
     CAMERAS,
     DELAY_NS,
     MS,
     PARAMETERS,
+    QUICK,
+    QUICK_DELAY_NS,
     WINDOW_NS,
     A,
     B,
@@ -17,7 +20,7 @@ from support.bundling import (
     trigger,
 )
 
-from drivers.interfaces import TriggersLost
+from drivers.interfaces import DeviceEvent, TriggersLost
 from pipeline.frames import MissingReason
 from service.bundling.assembler import DELIVERY_NS, BundleAssembler
 from service.bundling.missed_triggers import MAX_ORPHANS, MAX_SINGLE, CounterGap, MissedTriggers
@@ -206,3 +209,27 @@ def test_orphans_without_number_are_a_number_and_explain_what_the_gate_tells_lat
     missed.note_announced(trigger(1, 1000 * MS))
     missed.note_gap(CounterGap(0, 1, MissingReason.UNSEEN, due_ns=1))
     assert len(missed.take_unseen(1)) == 1  # the gate missed nothing before the one that it announced
+
+
+@pytest.mark.parametrize("late_ms", [0, 30, 90])
+def test_a_stone_that_was_not_announced_between_two_in_the_air_is_an_orphan(late_ms: int) -> None:
+    """However late this machine takes all frames, by their clocks they are neither the one's nor the other's."""
+    assembler = BundleAssembler(CAMERAS, QUICK)
+    bundles = []
+    events: list[tuple[int, DeviceEvent]] = []
+    for number, at_ms in enumerate((0, 1000, 1040, 1100)):
+        at_ns = at_ms * MS
+        if number != 2:
+            events.append((at_ns, trigger(number, at_ns)))
+        arrival_ns = at_ns + QUICK_DELAY_NS + (late_ms * MS if number else 0)
+        events += [(arrival_ns, frame(camera, number, arrival_ns, device_ns=7 + at_ns)) for camera in CAMERAS]
+    for now_ns, event in sorted(events, key=lambda event: event[0]):
+        bundles += assembler.advance(now_ns) + assembler.feed(event)
+    bundles += assembler.advance(2000 * MS)
+    assert sorted((bundle.trigger.sequence, tags(bundle)) for bundle in bundles) == [
+        (n, {n}) for n in range(4)
+    ]
+    (orphan,) = (bundle for bundle in bundles if not bundle.trigger.is_announced)
+    assert orphan.trigger.received_ns == 1040 * MS
+    feed_all(assembler, [trigger(2, 1040 * MS)])  # its line was late
+    assert (assembler.counters.orphans, assembler.counters.triggers) == (1, 4)

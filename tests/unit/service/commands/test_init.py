@@ -10,6 +10,7 @@ from drivers.files.rig_file import read_rig, write_rig
 from pipeline.rig.design import nominal_rig
 from service.commands import init
 from service.commands.cli import build_app
+from service.configuration.live_rig import DelayMaker
 from service.configuration.rig_settings import AravisRigSettings
 from service.configuration.settings import load_settings, problems
 
@@ -180,3 +181,10 @@ def test_placeholders_of_the_example_are_refused(tmp_path: Path) -> None:
     assert served.exit_code == 1
     assert "placeholders" in str(served.exception)
     assert not any("placeholder" in each for each in problems(load_settings(DEPLOY / "simulated.toml")))
+
+
+def test_what_makes_the_delay_can_be_said(tmp_path: Path) -> None:
+    assert complete(tmp_path, "--delay", "gate").exit_code == 0
+    rig = load_settings(tmp_path / "stonefall.toml").rig
+    assert isinstance(rig, AravisRigSettings)
+    assert (rig.delay, rig.gate_delay_us, rig.camera_delay_ms) == (DelayMaker.GATE, 247_352, 0.0)

@@ -255,3 +255,20 @@ def test_a_late_exposure_shows_a_ball_lower(tmp_path: Path, rig_path: Path) -> N
     np.testing.assert_allclose(slopes_mm_s, -speed_mm_s(300.0), rtol=0.02)
     with pytest.raises(typer.BadParameter, match="each must be 0 to 100"):
         command(tmp_path / "other", bodies="ball", rig=rig_path, spread_mm=(1.0, -1.0, 1.0))
+
+
+def test_shrunk_images_show_the_same_with_fewer_pixels(tmp_path: Path, rig_path: Path) -> None:
+    for name, n in (("whole", 1), ("half", 2)):
+        command(tmp_path / name, bodies="cube", count=1, rig=rig_path, backgrounds=0, shrink=n)
+    (whole,), (half,) = bundles_of(tmp_path / "whole"), bundles_of(tmp_path / "half")
+    for camera, frame in whole.frames.items():
+        height_px, width_px = frame.image.shape
+        assert half.frames[camera].image.shape == (height_px // 2, width_px // 2)
+        means = [
+            float(each.frames[camera].image[: height_px // 2 * 2 // n, : width_px // 2 * 2 // n].mean())
+            for each, n in ((whole, 1), (half, 2))
+        ]
+        assert means[0] == pytest.approx(means[1], abs=3)
+    rigs = [open_recording(tmp_path / name).rig for name in ("whole", "half")]
+    centres = [[camera.center_mm.tolist() for camera in rig.cameras] for rig in rigs if rig is not None]
+    assert centres[0] == centres[1]
