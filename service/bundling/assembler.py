@@ -243,11 +243,13 @@ class BundleAssembler:
         received_ns = event.received_ns
         if not isinstance(event, Frame):
             return received_ns
-        trigger_ns = self._exposures[event.camera].trigger_ns(event.device_ns)
-        if trigger_ns is None or abs(trigger_ns - received_ns) > LATEST_FRAME_NS:
-            return received_ns  # not known, or set anew
-        expected_ns = trigger_ns + self._delay_ns
-        return expected_ns if -self._window_ns <= received_ns - expected_ns <= LATE_NS else None
+        known = self._exposures[event.camera].trigger_ns(event.device_ns)
+        if known is None or abs(known[0] - received_ns) > LATEST_FRAME_NS:
+            return received_ns  # set anew
+        expected_ns, drift_ns = known[0] + self._delay_ns, known[1]
+        if not -self._window_ns - drift_ns <= received_ns - expected_ns <= LATE_NS + drift_ns:
+            return None
+        return expected_ns if drift_ns <= self._window_ns else received_ns
 
     def _unseen(self, unseen: list[CounterGap]) -> list[FrameBundle]:
         """Return bundles without frames for triggers that only the gate's counter knows."""

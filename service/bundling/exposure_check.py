@@ -53,9 +53,8 @@ class ExposureCheck:
             return True
         reference = self._reference
         fits = exposure.ordinal == 0 if reference is None else self.fits(exposure)
-        if (
-            is_late and reference is not None
-        ):  # a later trigger's would be ahead of its camera's counter, not behind
+        if is_late and reference is not None:
+            # taken for a later trigger's, it would be behind by its camera's counter
             n_exposed = id_step(reference.frame_id, exposure.frame_id)
             fits = fits and n_exposed is not None and n_exposed >= exposure.ordinal - reference.ordinal
         agrees = bool(self._refused) and self._misfit_ns(self._refused[-1], exposure) == 0
@@ -78,10 +77,8 @@ class ExposureCheck:
             return True
         if not all(_is_counted(*pair) for pair in pairwise(exposures)):
             return False
-        if (
-            self._misfit_ns(reference, last) == 0
-        ):  # its clock was right: the counter had skipped what it missed
-            return True
+        if self._misfit_ns(reference, last) == 0:
+            return True  # its clock was right: the counter had skipped what it missed
         spacings_ns = [later.trigger_ns - earlier.trigger_ns for earlier, later in pairwise(exposures)]
         is_irregular = max(spacings_ns) - min(spacings_ns) > 2 * self.tolerance_ns
         return _is_counted(reference, last) or (len(exposures) >= MANY_FRAMES and is_irregular)
@@ -96,11 +93,15 @@ class ExposureCheck:
             and _is_counted(*sorted((reference, exposure), key=attrgetter("ordinal")))
         )
 
-    def trigger_ns(self, device_ns: int) -> int | None:
-        """Return when the trigger of an exposure was, by the camera's clock; None without clock or reference."""
+    def trigger_ns(self, device_ns: int) -> tuple[int, float] | None:
+        """Return when the trigger of an exposure was by the camera's clock, and how far that may have drifted.
+
+        None without clock or reference.
+        """
         if device_ns == 0 or self._reference is None:
             return None
-        return self._reference.trigger_ns + device_ns - self._reference.device_ns
+        since_ns = device_ns - self._reference.device_ns
+        return self._reference.trigger_ns + since_ns, CLOCK_DRIFT * abs(since_ns)
 
     def fits(self, exposure: MatchedFrame) -> bool:
         """True when the clocks agree; where they may agree with another trigger as well, the counter must too."""

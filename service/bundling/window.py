@@ -43,13 +43,9 @@ class BundlingParameters:
 class BundlingSettings:
     """`[bundling]` of the configuration; what is not set follows from the rig."""
 
-    expected_delay_ms: float | None = (
-        None  # default: 259.4; for stones in the air together 8 after the exposure
-    )
-    window_ms: float | None = None  # default: 100; for stones in the air together 10
-    dead_time_ms: float | None = (
-        None  # default: 220, or what the cameras are busy for; for stones in the air together 25
-    )
+    expected_delay_ms: float | None = None  # 259.4; for stones in the air together 8 after the exposure
+    window_ms: float | None = None  # 100; for stones in the air together 10
+    dead_time_ms: float | None = None  # 220, or what cameras are busy for; for stones in the air together 25
 
     def __post_init__(self) -> None:
         self.over(BundlingParameters())
