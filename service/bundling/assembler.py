@@ -229,10 +229,12 @@ class BundleAssembler:
             trigger = replace(trigger, sequence=later[0] - 1)
         else:
             self._last_sequence = trigger.sequence
-        self._unmatched = [event for event in self._unmatched if all(event is not frame for frame in own)]
+        others = [event for event in self._unmatched if all(event is not frame for frame in own)]
+        self._unmatched = []
         window = self._open_window(trigger)
         for frame in own:
             self._add(window, frame)
+        self._unmatched = [event for event in others if not self._match(event)]
         return True
 
     def _exposed_ns(self, event: Frame | FrameLost) -> int | None:
@@ -326,9 +328,11 @@ class BundleAssembler:
         waits = not last.in_dead_time and frame.camera not in last.frames.keys() | last.lost.keys()
         if not (is_last and is_near and waits):
             return None
-        may_be_orphan = self._exposed_ns(frame) not in (None, frame.received_ns)
-        fits = self._exposures[frame.camera].fits(self._exposure(frame, last))
-        return last if fits or not may_be_orphan else None
+        check = self._exposures[frame.camera]
+        known = check.trigger_ns(frame.device_ns)
+        is_trusted = known is not None and abs(known[0] - frame.received_ns) <= LATEST_FRAME_NS
+        may_be_orphan = is_trusted and self._exposed_ns(frame) is not None
+        return last if check.fits(self._exposure(frame, last)) or not may_be_orphan else None
 
     def _add(self, window: OpenTrigger, frame: Frame, *, is_late: bool = False) -> None:
         """Add a frame to a window unless it is a duplicate or another exposure; two different ones are dropped."""

@@ -22,7 +22,7 @@ from support.bundling import (
 
 from drivers.interfaces import DeviceEvent, TriggersLost
 from pipeline.frames import MissingReason
-from service.bundling.assembler import DELIVERY_NS, BundleAssembler
+from service.bundling.assembler import DELIVERY_NS, LATE_NS, BundleAssembler
 from service.bundling.missed_triggers import MAX_ORPHANS, MAX_SINGLE, CounterGap, MissedTriggers
 from service.bundling.window import BundlingParameters
 
@@ -233,3 +233,22 @@ def test_a_stone_that_was_not_announced_between_two_in_the_air_is_an_orphan(late
     assert orphan.trigger.received_ns == 1040 * MS
     feed_all(assembler, [trigger(2, 1040 * MS)])  # its line was late
     assert (assembler.counters.orphans, assembler.counters.triggers) == (1, 4)
+
+
+def test_the_frames_of_the_next_stone_wait_for_their_own_line() -> None:
+    """Two lines are late, and the first is taken for an orphan just before they come."""
+    assembler = BundleAssembler(CAMERAS, QUICK)
+    times_ns = [0, 26 * MS, 52 * MS]
+    bundles = feed_all(assembler, [trigger(0, 0)])
+    for number, at_ns in enumerate(times_ns):
+        arrival_ns = at_ns + QUICK_DELAY_NS
+        bundles += feed_all(assembler, [frame(c, number, arrival_ns, device_ns=7 + at_ns) for c in CAMERAS])
+    bundles += assembler.advance(times_ns[1] + QUICK_DELAY_NS + LATE_NS + 1)
+    bundles += feed_all(assembler, [trigger(1, times_ns[1]), trigger(2, times_ns[2])])
+    bundles += assembler.advance(1000 * MS)
+    assert [(tags(bundle), bundle.trigger.is_announced) for bundle in bundles] == [
+        ({0}, True),
+        ({1}, False),
+        ({2}, True),
+    ]
+    assert not any(bundle.missing for bundle in bundles)
