@@ -66,6 +66,11 @@ from drivers.gates.gate_records import (
 IDENTIFY: Final = b"?\n"
 TEST_PULSE: Final = b"T\n"
 
+FIRMWARE_NAME: Final = "stonefall-gate"
+"""Name in the identity of our own gate, drivers/gates/firmware."""
+FIRMWARE_VERSION: Final = "1.0"
+"""Its version, `VERSION` in gate.c: numbers and dots."""
+
 MAX_LINE_BYTES: Final = 128
 """No record is longer: more bytes without a line end are garbage."""
 
