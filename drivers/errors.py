@@ -94,6 +94,11 @@ class DeviceFault(StrEnum):
         "sent {lines} lines with a valid checksum within the last minute that this version does not know, the last one"
         ' "{reported}": they are left out; look at the firmware',
     )
+    GATE_FIRMWARE_OLD = (
+        "gate_firmware_old",
+        "its firmware is version {version}, this release has {current}: write that into it,"
+        " make -C drivers/gates/firmware flash",
+    )
     GATE_PORT_DENIED = (
         "gate_port_denied",
         "permission denied: the service's user must be in the group {group}, to which the port belongs",

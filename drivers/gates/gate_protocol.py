@@ -160,6 +160,15 @@ def _record(letter: str, fields: list[str]) -> Record:
     raise ValueError("unknown record")
 
 
+def is_outdated(identity: Identity) -> bool:
+    """Return True for our own firmware, of an older version than the one of this release."""
+    return identity.name == FIRMWARE_NAME and _version(identity.version) < _version(FIRMWARE_VERSION)
+
+
+def _version(text: str) -> list[int]:
+    return [int(number) for number in re.findall(r"[0-9]+", text)]
+
+
 def checksum(body: bytes) -> int:
     """CRC-16/CCITT-FALSE."""
     return crc_hqx(body, 0xFFFF)

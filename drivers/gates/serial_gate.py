@@ -12,7 +12,7 @@ import serial
 from drivers.errors import DeviceFault, Told, told
 from drivers.files.times import ns_since
 from drivers.gates.gate_listener import GateListener
-from drivers.gates.gate_protocol import STONEFALL
+from drivers.gates.gate_protocol import FIRMWARE_VERSION, STONEFALL, is_outdated
 from drivers.gates.gate_records import CameraPulses, GateProtocol, Identity
 from drivers.gates.gate_thread import GateThread
 from drivers.gates.port import keep_port, port_problem
@@ -110,6 +110,10 @@ class SerialGate:
             blocked_s, found = self._listener.blocked_s(now_ns), self._listener.troubles(now_ns)
         if blocked_s >= self._settings.blocked_s:
             found.append(told(DeviceFault.BEAM_CLOSED, closed_s=blocked_s))
+        if self.identity is not None and is_outdated(self.identity):
+            found.append(
+                told(DeviceFault.GATE_FIRMWARE_OLD, version=self.identity.version, current=FIRMWARE_VERSION)
+            )
         return tuple(problem.after(f"light gate {self._settings.port}: ") for problem in found)
 
     def resume(self, count: GateCount, n_known: int) -> None:

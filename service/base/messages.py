@@ -44,6 +44,7 @@ class Code(StrEnum):
     GATE_PULSES_UNMADE = "gate_pulses_unmade"
     GATE_LINES_UNKNOWN = "gate_lines_unknown"
     GATE_PORT_MISSING = "gate_port_missing"
+    GATE_FIRMWARE_OLD = "gate_firmware_old"
     GATE_PORT_DENIED = "gate_port_denied"
     GATE_PORT_TAKEN = "gate_port_taken"
     GATE_PORT_UNUSABLE = "gate_port_unusable"

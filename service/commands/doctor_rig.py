@@ -191,7 +191,7 @@ def check_gate(rig: LiveRigSettings) -> Finding:
         is_good=not warnings,
         found="; ".join(warnings) or f"{type(gate).__name__} answers{_delaying(rig)}",
         wanted=wanted,
-        remedy="clear the beam, clean and align sensor and light",
+        remedy="do what it says",
     )
 
 

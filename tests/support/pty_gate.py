@@ -59,6 +59,7 @@ class PtyGate:
         self.answers = True
         self.pulses: CameraPulses | None = None  # None: an old one, which cannot delay
         self.longest_delay_us = 4_000_000
+        self.identity = Identity(name="pty-gate", serial="7", version="1.0")
         self._booted_ns = time.monotonic_ns() - UPTIME_NS
         self._sending = threading.Lock()
         self._stopping = threading.Event()
@@ -138,7 +139,7 @@ class PtyGate:
         if not self.answers:
             return
         if command == IDENTIFY:
-            self.send(Identity(name="pty-gate", serial="7", version="1.0"))
+            self.send(self.identity)
             self._send_pulses()
             self.status()
         elif command == TEST_PULSE:

@@ -16,7 +16,7 @@ from support.sinks import Collector
 
 from drivers.errors import GateUnavailableError
 from drivers.gates.gate_listener import GateListener
-from drivers.gates.gate_protocol import STONEFALL, checksum, encode
+from drivers.gates.gate_protocol import FIRMWARE_NAME, FIRMWARE_VERSION, STONEFALL, checksum, encode
 from drivers.gates.gate_records import CameraPulses, Edge, Identity
 from drivers.gates.port import keep_port, port_problem
 from drivers.gates.serial_gate import SerialGate, SerialGateSettings
@@ -451,6 +451,26 @@ def test_whole_lines_of_another_version_are_left_out_and_named(
     (warning,) = [text for text in gate.warnings if "does not know" in text]
     assert "sent 2 lines with a valid checksum within the last minute" in warning
     assert '"$E,007,12*' in warning
+
+
+@pytest.mark.parametrize(
+    ("name", "version", "is_old"),
+    [
+        (FIRMWARE_NAME, "0.9", True),
+        (FIRMWARE_NAME, "0.10", True),
+        (FIRMWARE_NAME, FIRMWARE_VERSION, False),
+        (FIRMWARE_NAME, f"{FIRMWARE_VERSION}.1", False),
+        (FIRMWARE_NAME, "100.0", False),
+        ("other-gate", "0.9", False),
+    ],
+)
+def test_an_old_firmware_of_ours_is_named(
+    device: PtyGate, gate: SerialGate, name: str, version: str, is_old: bool
+) -> None:
+    device.identity = Identity(name=name, serial="7", version=version)
+    gate.open()
+    named = [warning for warning in gate.warnings if f"its firmware is version {version}" in warning]
+    assert bool(named) == is_old
 
 
 def test_what_is_no_port_is_refused(tmp_path: Path) -> None:

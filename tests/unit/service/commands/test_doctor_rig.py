@@ -1,9 +1,16 @@
-"""What `stonefall doctor` makes of the light of the views, with the flash and without."""
+"""What `stonefall doctor` makes of the gate, and of the light of the views, with the flash and without."""
+
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from support.pty_gate import serial_gate
 
+from drivers.gates.gate_protocol import FIRMWARE_NAME, FIRMWARE_VERSION
+from drivers.gates.gate_records import Identity
+from drivers.gates.serial_gate import SerialGateSettings
 from pipeline.frames import CameraId
-from service.commands.doctor_rig import judge_flash
+from service.commands.doctor_rig import check_gate, judge_flash
 from service.host.finding import Finding, HostVerdict
 
 C1, C2, C3 = map(CameraId, ("c01", "c02", "c03"))
@@ -41,3 +48,18 @@ def test_the_light_must_come_from_the_flash(
 def test_views_that_were_not_exposed_twice_are_not_compared() -> None:
     assert judge_flash({C1: 150.0}, {C2: 150.0}).verdict is HostVerdict.UNKNOWN
     assert judge_flash({C1: 150.0, C2: 150.0}, {C1: 3.0}).found.startswith("all 1 views")
+
+
+@pytest.mark.parametrize("version", ["0.9", FIRMWARE_VERSION])
+def test_an_old_firmware_of_the_gate_is_named_with_its_remedy(tmp_path: Path, version: str) -> None:
+    with serial_gate(tmp_path / "gate") as (_, device):
+        device.identity = Identity(name=FIRMWARE_NAME, serial="7", version=version)
+        settings = SerialGateSettings(port=str(device.link))
+        rig = SimpleNamespace(gate=SimpleNamespace(device=settings), gate_delay_us=0)
+        finding = check_gate(rig)  # type: ignore[arg-type]  # all that it asks of a rig
+    if version == FIRMWARE_VERSION:
+        assert (finding.verdict, finding.remedy) == (HostVerdict.GOOD, None)
+    else:
+        assert finding.verdict is HostVerdict.FAULT
+        assert f"version 0.9, this release has {FIRMWARE_VERSION}" in finding.found
+        assert "make -C drivers/gates/firmware flash" in finding.found
