@@ -19,6 +19,8 @@ US: Final = 16
 MS: Final = 16_000
 BYTE_CYCLES: Final = 1500
 """What a byte takes on the line, in simavr a little longer than at 115200 baud."""
+ORDERS = 500
+"""Orders that fit into a pipe, so that neither end waits for the other."""
 LOOK_S = 0.005
 
 
@@ -90,11 +92,17 @@ class Board:
 
     def run(self, until: int) -> None:
         """Let time pass; what is planned for later is kept."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
         due = sorted((each for each in self._orders if each[0] < until), key=lambda each: each[0])
         self._orders = [each for each in self._orders if each[0] >= until]
-        self._process.stdin.write("".join(f"{text}\n" for _, text in due) + f"run {until}\n")
+        while due:
+            self._obey([text for _, text in due[:ORDERS]], due[ORDERS - 1][0] if len(due) > ORDERS else until)
+            due = due[ORDERS:]
+        self._obey([], until)
+
+    def _obey(self, orders: list[str], until: int) -> None:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write("".join(f"{text}\n" for text in [*orders, f"run {until}"]))
         self._process.stdin.flush()
         for line in self._process.stdout:
             match line.split():
