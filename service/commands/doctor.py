@@ -22,6 +22,7 @@ from service.commands.daemon_client import ConfiguredUrl, DaemonClient, DaemonEr
 from service.commands.doctor_rig import check_cameras, check_gate, check_pulse
 from service.commands.options import Config
 from service.configuration.host_needs import host_needs
+from service.configuration.rig_checks import carried_by
 from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings
 from service.configuration.settings import Settings, load_settings, problems, shortcomings
 from service.daemon.diagnostics.archive import build_archive
@@ -184,6 +185,15 @@ def _configuration(file: Path, settings: Settings) -> Iterator[Finding]:
         field, _, text = problem.partition(": ")
         remedy = f"edit {file}, then: stonefall check-config {file}"
         yield fault(field, found=text, wanted="nothing is wrong with it", remedy=remedy)
+    for most in carried_by(settings.rig, settings.bundling)[:1]:
+        yield judged(
+            "network of the cameras",
+            is_good=most.is_burst_carried,
+            found=f"a bundle is {most.bundle_ms:.1f} ms on the wire, {most.queued_bytes / 1e6:.2f} MB of it wait in"
+            " the switch",
+            wanted=f"two stones {1e3 / most.rate_hz:.0f} ms apart are carried",
+            remedy='a faster uplink, rig.packet_delay_ns: "The network of the cameras" in deploy/README.md',
+        )
     if not wrong:
         found = "nothing is wrong with it"
         yield Finding(subject=str(file), verdict=HostVerdict.GOOD, found=found, wanted="")

@@ -4,7 +4,7 @@ import json
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,10 +21,13 @@ from service.base.errors import SettingsError, UsageError
 from service.base.tables.files import NamedColumn, read_rows
 from service.commands.cameras import ipv4_address
 from service.commands.options import DensityOptions, with_options
+from service.configuration.camera_wire import UPLINK_BYTES_S, CameraWire, Carried
 from service.configuration.live_rig import DelayMaker
-from service.configuration.rig_checks import rig_warnings
+from service.configuration.rig_checks import carried_by, rig_warnings
 from service.configuration.rig_settings import CameraPlace
 from service.configuration.settings import Settings, load_settings, problems, shortcomings
+from service.host.host import ROOT, host_at
+from service.host.network import links_bytes_s
 
 TEMPLATE = Path(__file__).with_name("stonefall.toml.jinja")
 GATES = Path("/dev/serial/by-id")
@@ -48,6 +51,8 @@ class InitOptions:
     """Serial number of the camera in a place, such as c01=12345; may be repeated."""
     cameras: Path | None = None
     """Table (CSV or XLSX) with the columns id and serial, address or user_name, in the place of --camera."""
+    uplink: Annotated[float | None, typer.Option(metavar="GBIT_S", min=0.1, max=1000)] = None
+    """Speed of this machine's links towards the cameras together, Gb/s; default: as their ports say."""
     gate: str | None = None
     """Port of a light gate with a serial line."""
     strobe_line: Annotated[str | None, typer.Option(metavar="LINE")] = None
@@ -99,6 +104,12 @@ def command(options: InitOptions, density: DensityOptions) -> None:
         )
         if strobe_line is not None:
             flash_us = _asked_number("light of one flash, us (0 if as long as the exposure)")
+    uplink_bytes_s = options.uplink * 125e6 if options.uplink else _found_uplink(interfaces)
+    wire = CameraWire(
+        n_cameras=len(rig.cameras),
+        image_bytes=max(width * height for width, height in (camera.image_size_px for camera in rig.cameras)),
+        uplink_bytes_s=uplink_bytes_s or UPLINK_BYTES_S,
+    )
     density_kg_m3 = density.given_kg_m3
     if is_asked and density_kg_m3 is None:
         density_kg_m3 = _asked_number("density of the particles, kg/m3, such as 2700 (0 if it is not known)")
@@ -113,6 +124,9 @@ def command(options: InitOptions, density: DensityOptions) -> None:
         places=rig.camera_ids,
         gate=gate,
         delay=options.delay and options.delay.value,
+        uplink_bytes_s=uplink_bytes_s,
+        example_bytes_s=UPLINK_BYTES_S,
+        packet_delay_ns=wire.paced().packet_delay_ns,
         strobe_line=strobe_line,
         flash_us=flash_us,
         calibration=rig_file,
@@ -154,12 +168,18 @@ def check_config_command(
             typer.echo(json.dumps({"settings": None, "problems": [str(err)], "warnings": []}, indent=2))
         raise
     wrong = _wrong(settings)
-    doubtful = list(rig_warnings(settings.rig))
+    doubtful = list(rig_warnings(settings.rig, settings.bundling))
+    network = carried_by(settings.rig, settings.bundling)
     if as_json:
-        said = {"settings": settings.model_dump(mode="json"), "problems": wrong, "warnings": doubtful}
+        said = {
+            "settings": settings.model_dump(mode="json"),
+            "problems": wrong,
+            "warnings": doubtful,
+            "network": [asdict(each) for each in network],
+        }
         typer.echo(json.dumps({"url": settings.api.local_url, **said}, indent=2))
     else:
-        typer.echo("\n".join(_sections(settings)))
+        typer.echo("\n".join([*_sections(settings), *_network(network)]))
         for problem in [*wrong, *(f"warning: {each}" for each in doubtful)]:
             typer.echo(f"stonefall: {file}: {problem}", err=True)
     if wrong:
@@ -176,6 +196,18 @@ def _sections(settings: Settings) -> Iterator[str]:
         header, *lines = tomli_w.dumps({name: known[name]}).splitlines()
         unset = [f"# {key} is not set" for key, value in values.items() if value is None]
         yield "\n".join([header, *unset, *lines, ""])
+
+
+def _network(network: Sequence[Carried]) -> Iterator[str]:
+    """Yield the load of the cameras' network as comments, at the most that the rig takes and at common rates."""
+    for most in network[:1]:
+        yield (
+            f"# network: a bundle is {most.bundle_ms:.1f} ms on the wire, of which at most"
+            f" {most.queued_bytes / 1e6:.2f} MB wait in the switch"
+        )
+        yield f"# two stones {1e3 / most.rate_hz:.0f} ms apart: {'carried' if most.is_burst_carried else 'not carried'}"
+        loads = ", ".join(f"{each.load:.0%} at {each.rate_hz:.3g}" for each in network)
+        yield f"# load: {loads} stones/s; the first is the most that this rig takes\n"
 
 
 def _from_options(given: Sequence[str]) -> dict[str, CameraPlace]:
@@ -253,6 +285,12 @@ def _found_gate(*, is_asked: bool) -> str | None:
     for port in ports:
         typer.echo(f"  {port}")
     return _asked("port of the light gate (- if there is none yet)", ports[0] if ports else None)
+
+
+def _found_uplink(interfaces: Sequence[str]) -> float | None:
+    """Return the speed of the ports with these addresses together, bytes/s; None where one does not say it."""
+    host = host_at(ROOT)
+    return links_bytes_s(host, {port for address in interfaces for port in host.interfaces_to(address)})
 
 
 def _asked_number(question: str) -> float | None:

@@ -11,6 +11,7 @@ from drivers.files.rig_file import read_rig
 from pipeline.fall import blur_px, longest_exposure_us
 from pipeline.rig.cameras import RigCalibration
 from service.bundling.window import TRANSFER_MS, BundlingParameters, BundlingSettings
+from service.configuration.camera_wire import LARGEST_PACKET_BYTES, MOST_LOAD, RATES_HZ, Carried, carried
 from service.configuration.live_rig import LiveRigSettings
 from service.configuration.rig_settings import AravisRigSettings, ReplayRigSettings, RigSettings
 
@@ -71,13 +72,19 @@ def _live_problems(settings: LiveRigSettings, bundling: BundlingParameters) -> I
         yield from transfer_problems(settings, calibration, bundling)
 
 
-def rig_warnings(settings: RigSettings) -> Iterator[str]:
+def rig_warnings(settings: RigSettings, bundling: BundlingSettings) -> Iterator[str]:
     """Yield the settings of the rig that are allowed but rarely meant, each with its field."""
     if isinstance(settings, LiveRigSettings) and not (settings.has_flash or settings.is_simulated):
         yield (
             "rig.strobe_line: no output of the cameras fires the light panels, so they must be on all the time: that is"
             " allowed, but they get hot, and shine less bright than in a flash; if they do flash, say which output"
             ' fires them (strobe_line) and how long they shine (flash_us): see "Light" in deploy/README.md'
+        )
+    for most in [each for each in carried_by(settings, bundling)[:1] if not each.is_carried]:
+        yield (
+            f"rig.uplink_bytes_s: a bundle takes {most.bundle_ms:.0f} ms on the wire, but stones may come every"
+            f" {1e3 / most.rate_hz:.0f} ms: at more than {MOST_LOAD * 1e3 / most.bundle_ms:.1f} a second frames"
+            ' pile up in the cameras and are lost: see "The network of the cameras" in deploy/README.md'
         )
 
 
@@ -128,21 +135,35 @@ def blur_problems(settings: LiveRigSettings, calibration: RigCalibration) -> Ite
 def transfer_problems(
     settings: AravisRigSettings, calibration: RigCalibration, bundling: BundlingParameters
 ) -> Iterator[str]:
-    """Yield a problem when the frames of a trigger exceed the uplink they share, or arrive too late."""
-    rate_bytes_s = min(settings.link_bytes_s, settings.throughput_limit_bytes_s or settings.link_bytes_s)
-    packet_bytes = 1500 if settings.packet_size_bytes == "negotiate" else settings.packet_size_bytes
-    per_packet_s = packet_bytes / rate_bytes_s + settings.packet_delay_ns / 1e9
-    sum_bytes_s = len(settings.cameras) * packet_bytes / per_packet_s
-    if sum_bytes_s > settings.uplink_bytes_s:
+    """Yield a problem when the frames of a trigger overrun the switch before the uplink, or arrive too late."""
+    wire = settings.wire_for(calibration, negotiated_bytes=LARGEST_PACKET_BYTES)
+    waiting_bytes = wire.queued_bytes(bundling.dead_time_ms)
+    if waiting_bytes > wire.buffer_bytes:
+        uplink_mb_s = wire.uplink_bytes_s / 1e6
         yield (
-            f"rig.throughput_limit_bytes_s: {len(settings.cameras)} cameras send {sum_bytes_s / 1e6:.0f} MB/s at once,"
-            f" the uplink takes {settings.uplink_bytes_s / 1e6:.0f}: limit each to"
-            f" {settings.uplink_bytes_s / len(settings.cameras) / 1e6:.1f} MB/s or less, or raise rig.packet_delay_ns"
+            f"rig.packet_delay_ns: {wire.n_cameras} cameras send {wire.sent_bytes_s / 1e6:.0f} MB/s at once, the uplink"
+            f" takes {uplink_mb_s:.0f}, and {waiting_bytes / 1e6:.1f} MB wait in the switch, which holds"
+            f" {wire.buffer_bytes / 1e6:.1f} (rig.switch_buffer_bytes): set it to {wire.paced().packet_delay_ns} or"
+            f" more, or rig.throughput_limit_bytes_s to {uplink_mb_s / wire.n_cameras:.1f} MB/s or less"
         )
-    largest_bytes = max(width * height for width, height in (c.image_size_px for c in calibration.cameras))
-    transfer_ms = largest_bytes / packet_bytes * per_packet_s * 1e3
-    if transfer_ms > bundling.window_ms + max(0.0, bundling.expected_delay_ms - settings.exposed_ms):
+    frame_ms = settings.wire_for(calibration).frame_ms
+    if frame_ms > bundling.window_ms + max(0.0, bundling.expected_delay_ms - settings.exposed_ms):
         yield (
-            f"rig.throughput_limit_bytes_s: a frame takes {transfer_ms:.0f} ms to arrive,"
+            f"rig.packet_delay_ns: a frame takes {frame_ms:.0f} ms to arrive,"
             f" more than bundling.window_ms = {bundling.window_ms:g}"
         )
+
+
+def carried_by(settings: RigSettings, bundling: BundlingSettings) -> list[Carried]:
+    """Return the load of the network at the most stones a second that the rig takes, and at common rates.
+
+    Empty for a recording, and without a rig file, which has the image sizes.
+    """
+    if not isinstance(settings, AravisRigSettings):
+        return []
+    try:
+        wire = settings.wire_for(read_rig(settings.calibration))
+    except RecordingError:
+        return []
+    dead_ms = settings.bundling_for(bundling).dead_time_ms
+    return [carried(wire, rate_hz, dead_ms) for rate_hz in (1e3 / dead_ms, *RATES_HZ)]

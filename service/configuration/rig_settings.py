@@ -25,6 +25,13 @@ from pipeline.rig.cameras import RigCalibration
 from service.base.paths import ConfiguredPath
 from service.base.schema import require_ranges
 from service.bundling.window import BundlingParameters, BundlingSettings
+from service.configuration.camera_wire import (
+    BUFFER_BYTES,
+    LINK_BYTES_S,
+    PACKET_BYTES,
+    UPLINK_BYTES_S,
+    CameraWire,
+)
 from service.configuration.live_rig import DelayMaker, LiveRigSettings, Place
 
 SOURCE = re.compile(r"[A-Z][A-Za-z0-9_]{1,63}")
@@ -106,16 +113,19 @@ class AravisRigSettings(LiveRigSettings):
     features: tuple[Feature, ...] = ()  # further GenICam features of all cameras, written in this order
 
     interfaces: tuple[str, ...] = ()  # this machine's addresses towards the cameras; all of them if empty
-    packet_size_bytes: int | Literal["negotiate"] = 8192
+    packet_size_bytes: int | Literal["negotiate"] = PACKET_BYTES
     packet_delay_ns: int = 0
     throughput_limit_bytes_s: int | None = None
     receive_buffer_bytes: int = 4 << 20
-    link_bytes_s: float = 125e6  # of each camera: 1 Gb/s
-    uplink_bytes_s: float = 2.5e9  # of this machine: 2 x 10 Gb/s
+    link_bytes_s: float = LINK_BYTES_S  # of each camera
+    uplink_bytes_s: float = UPLINK_BYTES_S  # of this machine
+    switch_buffer_bytes: int = BUFFER_BYTES  # for packets that wait for the uplink
 
     def __post_init__(self) -> None:
         LiveRigSettings.__post_init__(self)
-        require_ranges(self, link_bytes_s=(1e6, 1e12), uplink_bytes_s=(1e6, 1e12))
+        require_ranges(
+            self, link_bytes_s=(1e6, 1e12), uplink_bytes_s=(1e6, 1e12), switch_buffer_bytes=(1 << 14, 1 << 40)
+        )
         if self.trigger in ("software", "action") and self.delay_is_made_by is not DelayMaker.CAMERA:
             raise ValueError(
                 f'delay: this machine triggers the cameras ({self.trigger}): nothing but they can make it ("camera")'
@@ -154,6 +164,21 @@ class AravisRigSettings(LiveRigSettings):
             interfaces=self.interfaces,
             fired_by=self._fired_by,
             is_simulated=self.is_simulated,
+        )
+
+    def wire_for(self, calibration: RigCalibration, *, negotiated_bytes: int = 1500) -> CameraWire:
+        """Return the wire of the images, with `negotiated_bytes` for packets whose size is negotiated."""
+        sizes_px = (camera.image_size_px for camera in calibration.cameras)
+        return CameraWire(
+            n_cameras=len(self.cameras),
+            image_bytes=max(width * height for width, height in sizes_px),
+            link_bytes_s=min(self.link_bytes_s, self.throughput_limit_bytes_s or self.link_bytes_s),
+            uplink_bytes_s=self.uplink_bytes_s,
+            buffer_bytes=self.switch_buffer_bytes,
+            packet_bytes=negotiated_bytes
+            if self.packet_size_bytes == "negotiate"
+            else self.packet_size_bytes,
+            packet_delay_ns=self.packet_delay_ns,
         )
 
     def sought_cameras(self) -> tuple[GigeCameraSettings, ...]:

@@ -1,6 +1,6 @@
 """Checks of the way from the cameras to this machine: buffers, packets, links, receive rings, interrupts."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from service.host.finding import Finding, fault, installed, judged, unknown
@@ -120,11 +120,9 @@ def _interrupts(host: Host, port: str) -> Iterator[Finding]:
 
 def _speed(host: Host, ports: list[str], network: CameraNetwork) -> Iterator[Finding]:
     """Check that the links together are as fast as the configuration says; virtual ones state no speed."""
-    known = [host.number(f"/sys/class/net/{port}/speed") for port in ports]
-    speeds = [speed for speed in known if speed is not None and speed > 0]
-    if not speeds or len(speeds) < len(ports):
+    if (found_bytes_s := links_bytes_s(host, ports)) is None:
         return
-    found_mb_s, wanted_mb_s = sum(speeds) / 8, network.uplink_bytes_s / 1e6
+    found_mb_s, wanted_mb_s = found_bytes_s / 1e6, network.uplink_bytes_s / 1e6
     yield judged(
         "speed of the links",
         is_good=found_mb_s >= wanted_mb_s,
@@ -132,3 +130,10 @@ def _speed(host: Host, ports: list[str], network: CameraNetwork) -> Iterator[Fin
         wanted=f"rig.uplink_bytes_s: {wanted_mb_s:g} MB/s",
         remedy="check cable and switch port; if the links are meant to be slower, say so in rig.uplink_bytes_s",
     )
+
+
+def links_bytes_s(host: Host, ports: Collection[str]) -> float | None:
+    """Return the speed of these links together; None without any, or where one does not say it, as virtual ones."""
+    known = [host.number(f"/sys/class/net/{port}/speed") for port in ports]
+    speeds_mbit_s = [speed for speed in known if speed is not None and speed > 0]
+    return sum(speeds_mbit_s) * 125e3 if 0 < len(ports) == len(speeds_mbit_s) else None

@@ -1,5 +1,7 @@
 """`stonefall init` from options: what it writes passes `check-config`, or it says what is missing."""
 
+import json
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -83,6 +85,66 @@ def test_the_output_that_fires_the_light_is_entered_and_without_it_check_config_
     rig, said = checked("--strobe-line", "Line2", "--flash-us", "15")
     assert (rig.strobe_line, rig.flash_us, said) == ("Line2", 15, "")
     assert complete(tmp_path, "--force", "--flash-us", "25").exit_code == 1  # longer than the exposure
+
+
+@pytest.mark.parametrize(
+    ("ports_mbit_s", "option", "uplink_bytes_s", "delay_ns"),
+    [
+        ([10_000], (), 1.25e9, 51_300),
+        ([10_000, 10_000], (), 2.5e9, 0),
+        ([10_000, -1], (), None, 0),  # a virtual port does not say it
+        ([], ("--uplink", "10"), 1.25e9, 51_300),
+    ],
+)
+def test_the_packet_delay_is_what_the_uplink_of_the_cameras_needs_and_check_config_shows_it(
+    ports_mbit_s: list[int],
+    option: tuple[str, ...],
+    uplink_bytes_s: float | None,
+    delay_ns: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    route = "Iface Destination Gateway Flags RefCnt Use Metric Mask MTU Window IRTT\n"
+    for number, speed in enumerate(ports_mbit_s):
+        port = tmp_path / f"sys/class/net/cams{number}"
+        port.mkdir(parents=True)
+        (port / "speed").write_text(f"{speed}\n")
+        route += f"cams{number} 00004D0A 00000000 0001 0 0 0 00FFFFFF 0 0 0\n"
+    (tmp_path / "proc/net").mkdir(parents=True)
+    (tmp_path / "proc/net/route").write_text(route)
+    monkeypatch.setattr(init, "ROOT", tmp_path)
+    assert complete(tmp_path, "--flash-us", "20", *option).exit_code == 0
+    file = tmp_path / "stonefall.toml"
+    rig = load_settings(file).rig
+    assert isinstance(rig, AravisRigSettings)
+    assert (rig.uplink_bytes_s, rig.packet_delay_ns) == (uplink_bytes_s or 2.5e9, delay_ns)
+    assert ("\n# uplink_bytes_s = " in file.read_text()) == (uplink_bytes_s is None)
+    checked = CliRunner().invoke(build_app(["check-config"]), ["check-config", str(file)])
+    assert (checked.exit_code, checked.stderr) == (0, "")
+    assert f"packet_delay_ns = {delay_ns}\n" in checked.stdout
+    assert f"a bundle is {19.0 if delay_ns else 10.6} ms on the wire" in checked.stdout
+    assert "# two stones 247 ms apart: carried" in checked.stdout
+    tomllib.loads(checked.stdout)
+    document = CliRunner().invoke(build_app(["check-config"]), ["check-config", str(file), "--json"])
+    network = json.loads(document.stdout)["network"]
+    assert [round(each["rate_hz"]) for each in network] == [4, 4, 10, 13]
+    assert all(each["is_carried"] for each in network)
+
+
+def test_doctor_names_a_network_that_loses_bundles_in_the_switch(tmp_path: Path) -> None:
+    complete(tmp_path, "--uplink", "10", "--interface", "127.0.0.1")
+    file = tmp_path / "stonefall.toml"
+
+    def found(delay_ns: int) -> dict[str, str]:
+        file.write_text(file.read_text().replace("packet_delay_ns = 51300", f"packet_delay_ns = {delay_ns}"))
+        words = ["doctor", "--config", str(file), "--root", str(tmp_path), "--json"]
+        said = json.loads(CliRunner().invoke(build_app(["doctor"]), words).stdout)
+        (network,) = [each for each in said["configuration"] if each["subject"] == "network of the cameras"]
+        return dict(network)
+
+    assert found(51_300)["verdict"] == "good"
+    assert found(0)["verdict"] == "fault"
+    assert found(0)["found"] == "a bundle is 17.0 ms on the wire, 8.13 MB of it wait in the switch"
 
 
 def test_nothing_is_replaced_without_being_told(tmp_path: Path) -> None:

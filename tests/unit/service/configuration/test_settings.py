@@ -364,12 +364,15 @@ def test_a_live_rig_whose_light_does_not_flash_is_a_warning_and_no_fault(
     write_rig(tmp_path / "rig.json", nominal_rig())
     settings = settings_of(tmp_path, LIVE.replace("[rig]", f"[rig]\n{more}"))
     assert not any("strobe" in each for each in [*problems(settings), *shortcomings(settings)])
-    assert [each.partition(":")[0] for each in rig_warnings(settings.rig)] == ["rig.strobe_line"] * is_warned
+    assert [each.partition(":")[0] for each in rig_warnings(settings.rig, settings.bundling)] == [
+        "rig.strobe_line"
+    ] * is_warned
 
 
 def test_examples_and_recordings_are_not_warned_of(tmp_path: Path):
     for name in ("demo.toml", "simulated.toml"):
-        assert list(rig_warnings(load_settings(DEPLOY / name).rig)) == []
+        settings = load_settings(DEPLOY / name)
+        assert list(rig_warnings(settings.rig, settings.bundling)) == []
 
 
 def test_a_recording_of_a_live_rig_says_how_fast_stones_pass_the_gate(tmp_path: Path):
@@ -408,13 +411,13 @@ def test_the_kept_background_depends_on_what_the_cameras_see_alone(tmp_path: Pat
         ),
         (
             ("[rig]", "[rig]\nuplink_bytes_s = 125e6"),
-            "rig.throughput_limit_bytes_s: 16 cameras send 2000 MB/s at once",
+            "rig.packet_delay_ns: 16 cameras send 2000 MB/s at once, the uplink takes 125, and 20",
         ),
         (
             ("[rig]", "[rig]\nuplink_bytes_s = 125e6\nthroughput_limit_bytes_s = 7_800_000"),
-            "a frame takes 168 ms",
+            "a frame takes 170 ms",
         ),
-        (("[rig]", "[rig]\nuplink_bytes_s = 125e6\npacket_delay_ns = 1_000_000"), "a frame takes 170 ms"),
+        (("[rig]", "[rig]\nuplink_bytes_s = 125e6\npacket_delay_ns = 1_000_000"), "a frame takes 174 ms"),
         (('id = "c07"', 'id = "c17"'), "rig.cameras: c01, c02"),
         (('"rig.json"', '"none.json"'), "rig.calibration: "),
     ],
@@ -436,6 +439,26 @@ def test_a_shared_gigabit_uplink_needs_throttled_cameras_and_a_wide_window(tmp_p
     rig = "[rig]\nuplink_bytes_s = 125e6\nthroughput_limit_bytes_s = 7_800_000"
     slow = "[bundling]\nwindow_ms = 170\ndead_time_ms = 400\n[spool]"
     assert live_problems(tmp_path, ("[rig]", rig), ("[spool]", slow)) == []
+
+
+def test_packets_of_negotiated_size_are_checked_at_their_largest_and_their_smallest(tmp_path: Path):
+    rig = '[rig]\nuplink_bytes_s = 1.25e9\npacket_size_bytes = "negotiate"\npacket_delay_ns = '
+    assert live_problems(tmp_path, ("[rig]", rig + "57_000")) == []
+    (problem,) = live_problems(tmp_path, ("[rig]", rig + "40_000"))
+    assert "set it to 56300 or more" in problem
+
+
+def test_a_network_that_stones_outrun_is_a_warning(tmp_path: Path):
+    write_rig(tmp_path / "rig.json", nominal_rig())
+    quick = "delay_outside_ms = 247\nflash_us = 20\nuplink_bytes_s = 125e6\npacket_delay_ns = 1_104_700"
+    text = LIVE.replace("[rig]", f"[rig]\n{quick}") + "[bundling]\ndead_time_ms = 180\nwindow_ms = 80\n"
+    settings = settings_of(tmp_path, text)
+    (warning,) = rig_warnings(settings.rig, settings.bundling)
+    assert warning.startswith(
+        "rig.uplink_bytes_s: a bundle takes 191 ms on the wire, but stones may come every 180 ms"
+    )
+    settings = settings_of(tmp_path, text.replace("dead_time_ms = 180", "dead_time_ms = 200"))
+    assert list(rig_warnings(settings.rig, settings.bundling)) == []
 
 
 def test_another_camera_than_the_calibrated_one_is_found_before_it_measures(tmp_path: Path):
