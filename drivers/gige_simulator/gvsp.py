@@ -14,6 +14,8 @@ from pipeline.arrays import GreyImage
 
 IP_UDP_BYTES = 28
 """Size of the headers of IP and UDP, which the packet size includes."""
+ETHERNET_BYTES = 38
+"""Preamble, header, checksum and gap of a packet on the wire, which it does not include."""
 STANDARD_HEADER = struct.Struct(">HHI")
 EXTENDED_HEADER = struct.Struct(">HHIQI")
 

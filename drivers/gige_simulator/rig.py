@@ -60,7 +60,7 @@ class RigDesign:
     gain_db: float = 0.0  # at which images are as recorded
     strobe_line: str | None = None  # output of each camera that fires its light; None: the light is always on
     uplink_bytes_s: float | None = None  # shared by all cameras behind a switch; None: unlimited
-    uplink_buffer_bytes: int = 2 << 20  # of the switch
+    uplink_buffer_bytes: int = 512 << 10  # of the switch, as small ones have
     seed: int = 0
 
 

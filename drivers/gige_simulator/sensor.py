@@ -257,6 +257,7 @@ class Sensor:
         self._stream.send(
             block.block_id,
             packets(block),
+            due_s=end_s,
             rate_bytes_s=min(
                 self._link_bytes_s,
                 registers.number("DeviceLinkThroughputLimit"),

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 from drivers.gige_simulator.counters import WireTally
 from drivers.gige_simulator.faults import Faults
-from drivers.gige_simulator.gvsp import IP_UDP_BYTES, Packet, unavailable
+from drivers.gige_simulator.gvsp import ETHERNET_BYTES, IP_UDP_BYTES, Packet, unavailable
 from drivers.gige_simulator.registers import AckStatus
 from drivers.gige_simulator.uplink import Uplink
 
@@ -53,6 +53,7 @@ class StreamChannel:
         self._kept: OrderedDict[int, _Kept] = OrderedDict()
         self._socket: socket.socket | None = None
         self._destination: tuple[str, int] | None = None
+        self._link_free_s = 0.0  # when the latest frame has left, at the pace of the link
 
     def open(self, address: str) -> int:
         """Bind to the camera's address and return the port that packets are sent from; raises `OSError`."""
@@ -92,24 +93,30 @@ class StreamChannel:
         block_id: int,
         frame: Sequence[Packet],
         *,
+        due_s: float,
         rate_bytes_s: float,
         gap_ns: int,
         is_wanted: Callable[[], bool],
     ) -> None:
-        """Send a frame at `rate_bytes_s` with `gap_ns` between packets; returns when it is sent or not `is_wanted`."""
+        """Send a frame at `rate_bytes_s` with `gap_ns` between packets; returns when it is sent or not `is_wanted`.
+
+        To the uplink it leaves from `due_s` on, or once the frame before it has left, however late this thread is.
+        """
         kept = _Kept(frame)
         with self._lock:
             self._kept[block_id] = kept
             while len(self._kept) > N_KEPT:
                 self._kept.popitem(last=False)
         packet_s = (len(frame[1]) + IP_UDP_BYTES) / rate_bytes_s + gap_ns / 1e9
-        is_sent = self._send_all(kept, packet_s, is_wanted)
+        leaves_s = max(due_s, self._link_free_s)
+        self._link_free_s = leaves_s + len(frame) * packet_s
+        is_sent = self._send_all(kept, leaves_s, packet_s, is_wanted)
         with self._lock:
             self.tally.torn += 1
             kept.is_sent = is_sent
             self._settle(kept)
 
-    def _send_all(self, kept: _Kept, packet_s: float, is_wanted: Callable[[], bool]) -> bool:
+    def _send_all(self, kept: _Kept, leaves_s: float, packet_s: float, is_wanted: Callable[[], bool]) -> bool:
         """Send a packet every `packet_s`; returns False, early, when the frame is no longer wanted."""
         n_burst = max(1, int(BURST_S / packet_s))
         order = _order(len(kept.packets), reorder=self._faults.reorder)
@@ -122,10 +129,10 @@ class StreamChannel:
             if not is_wanted():
                 return False
             with self._lock:
-                self._put_burst(kept, burst)
+                self._put_burst(kept, burst, leaves_s + first * packet_s, packet_s)
         return True
 
-    def _put_burst(self, kept: _Kept, packet_ids: Sequence[int]) -> None:
+    def _put_burst(self, kept: _Kept, packet_ids: Sequence[int], leaves_s: float, packet_s: float) -> None:
         faults, frame = self._faults, kept.packets
         if self._is_plain() and self._socket is not None and self._destination is not None:
             send, destination = self._socket.sendto, self._destination
@@ -135,16 +142,17 @@ class StreamChannel:
             self.tally.packets += len(packet_ids)
             return
         lost = {packet_id % len(frame) for packet_id in faults.lost_packets if packet_id < len(frame)}
-        for packet_id in packet_ids:
+        for n_before, packet_id in enumerate(packet_ids):
+            at_s = leaves_s + n_before * packet_s
             is_lost = (
                 packet_id in lost
                 or (faults.stall_after is not None and packet_id > faults.stall_after)
                 or _strikes(self._send_random, faults.packet_loss)
             )
-            if not self._put(frame[packet_id], is_lost=is_lost):
+            if not self._put(frame[packet_id], at_s, is_lost=is_lost):
                 kept.missing.add(packet_id)
             elif _strikes(self._send_random, faults.duplicate):
-                self._put(frame[packet_id], is_lost=False)
+                self._put(frame[packet_id], at_s, is_lost=False)
 
     def _is_plain(self) -> bool:
         """Whether no fault can affect a packet: the usual case, in which bursts are cheap."""
@@ -169,12 +177,12 @@ class StreamChannel:
                         AckStatus.PACKET_UNAVAILABLE,
                         has_extended_ids=has_extended_ids,
                     )
-                    self.tally.unavailable += self._put(refusal, is_lost=False)
+                    self.tally.unavailable += self._put(refusal, time.monotonic(), is_lost=False)
                     if packet_id >= n_packets:
                         return
                     continue
                 is_lost = _strikes(self._resend_random, self._faults.packet_loss)
-                if self._put(kept.packets[packet_id], is_lost=is_lost):
+                if self._put(kept.packets[packet_id], time.monotonic(), is_lost=is_lost):
                     self.tally.resent += 1
                     kept.missing.discard(packet_id)
             if kept is not None:
@@ -191,14 +199,17 @@ class StreamChannel:
         with self._lock:
             return replace(self.tally)
 
-    def _put(self, packet: Packet, *, is_lost: bool) -> bool:
+    def _put(self, packet: Packet, at_s: float, *, is_lost: bool) -> bool:
         """Send a packet, or count it as dropped; returns whether it was sent."""
         if (
             is_lost
             or self._socket is None
             or self._destination is None
             or not self._is_connected()
-            or (self._uplink is not None and not self._uplink.carries(len(packet) + IP_UDP_BYTES))
+            or (
+                self._uplink is not None
+                and not self._uplink.carries(len(packet) + IP_UDP_BYTES + ETHERNET_BYTES, at_s)
+            )
         ):
             self.tally.dropped += 1
             return False

@@ -18,6 +18,7 @@ from drivers.camera_process.process import CameraProcess
 from drivers.cameras.aravis import AravisCamera
 from drivers.cameras.genicam import GigeCameraSettings, exposure_features, trigger_features
 from drivers.gige_simulator.camera import CameraDesign, Exposure, ImageSource, SimulatedCamera
+from drivers.gige_simulator.uplink import Uplink
 from drivers.gvcp import probe
 from drivers.interfaces import Camera
 from pipeline.frames import CameraId
@@ -66,9 +67,11 @@ def design(number: int = 2, **changes: Any) -> CameraDesign:
 
 
 @contextmanager
-def powered(camera: CameraDesign, source: ImageSource = numbered) -> Iterator[SimulatedCamera]:
+def powered(
+    camera: CameraDesign, source: ImageSource = numbered, uplink: Uplink | None = None
+) -> Iterator[SimulatedCamera]:
     """Switch a simulated camera on, and off again."""
-    simulated = SimulatedCamera(camera, source)
+    simulated = SimulatedCamera(camera, source, uplink=uplink)
     simulated.start()
     try:
         yield simulated

@@ -151,7 +151,7 @@ def test_throughput_limit_and_packet_delay_are_obeyed(
 
 
 def test_a_shared_uplink_drops_what_does_not_fit() -> None:
-    uplink = Uplink(rate_bytes_s=1_000_000, buffer_bytes=3 * PACKET_BYTES)
+    uplink = Uplink(rate_bytes_s=1_000_000, buffer_bytes=4 * PACKET_BYTES)
     with session(uplink=uplink) as camera:
         camera.start()
         camera.camera.line()
