@@ -34,7 +34,7 @@ BURST_MS = 25.0
 """Between two stones that may follow each other: the first has left the picture."""
 MOST_LOAD = 0.5
 """At which a bundle of stones that fall at random waits for half a bundle's time on average (M/D/1 queue); beyond it
-waiting grows without bound, in cameras that hold few frames, and past the time for which a bundle is waited for."""
+waiting grows steeply, in cameras that hold few frames, and past the time for which a bundle is waited for."""
 RATES_HZ = (4, 10, 13)
 """Stones a second: with the delay in the cameras, the goal, and the most clean ones of random feeding."""
 

@@ -171,6 +171,7 @@ RUNS: Mapping[str, Run] = {
             ("refined-load", "benchmarks/sustained.py --rates 4,10 --seconds 30 --burst 0", "sharp", "photo"),
             ("live", "benchmarks/live.py --seconds 40", "sharp", "photo"),
             ("live-network", "benchmarks/live.py --seconds 30 --segmenter onnx", "sharp", "photo"),
+            ("receiving", "benchmarks/live.py --receiving --rate 1 --seconds 15", None, None),
             ("deaths", "benchmarks/camera_deaths.py --deaths 5", "sharp", "hull"),
             (
                 "readers",
@@ -207,7 +208,9 @@ RUNS: Mapping[str, Run] = {
 }
 
 
-OF_SERVICE = frozenset({"peers", "deaths", "readers", "lots", "pull", "priorities", "start", "cluster"})
+OF_SERVICE = frozenset(
+    {"peers", "deaths", "receiving", "readers", "lots", "pull", "priorities", "start", "cluster"}
+)
 """Runs that measure carving, or what the service does beside measuring: a new algorithm does not outdate them."""
 LEFT_BY = {
     "20": frozenset(

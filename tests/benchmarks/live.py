@@ -2,6 +2,7 @@
 
 Run: .venv/bin/python tests/benchmarks/live.py [--seconds 300] [--rate 4] [--size-mm 5] [--loss 0] [--keep-raw 0]
      [--segmenter auto|onnx|background]
+     .venv/bin/python tests/benchmarks/live.py --receiving [--seconds 20] [--rate 4]    receives alone, in several ways
 Exits with 1 if a stone is missing or lost, the counts of driver and simulator differ, or memory grows.
 """
 
@@ -11,6 +12,8 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any, get_args
@@ -23,8 +26,17 @@ from support.daemon_process import STONEFALL, DaemonProcess, descendants_of
 from support.printed import show
 from support.simulator_process import SimulatorProcess
 from support.stone_recording import write_stones
-from support.usage import cpu_s, percentiles, rss_mb
+from support.usage import cpu_s, percentiles, rss_mb, thread_cpu_s
 
+from drivers.camera_process.camera import RemoteCamera
+from drivers.camera_process.process import CameraProcess
+from drivers.cameras.aravis import AravisCamera
+from drivers.cameras.aravis_library import load_aravis
+from drivers.cameras.frame_reader import Allocate
+from drivers.cameras.genicam import GigeCameraSettings, exposure_features, trigger_features
+from drivers.factory import ARAVIS
+from drivers.interfaces import DeviceEvent, EventSink
+from pipeline.frames import CameraId, Frame
 from pipeline.segmentation.segmenter_choice import SegmenterKind
 from pipeline.synthesis.bundles import TRIGGER_DELAY_NS
 
@@ -35,6 +47,10 @@ WARM_UP_S = 30.0
 MAX_GROWTH_MB = 40.0
 """Accepted growth of the daemon's memory after the warm-up; a leak of one image a second would be 350 MB."""
 POLL_S = 2.0
+IDLE_S = 8.0
+SETTLE_S = 2.0
+ARAVIS_THREAD = "arv_gv_stream"
+"""Name of the threads in which Aravis receives packets, one a camera."""
 
 
 def main() -> int:
@@ -49,6 +65,11 @@ def main() -> int:
         choices=get_args(SegmenterKind),
         default="auto",
         help="onnx: the network segments every view",
+    )
+    parser.add_argument(
+        "--receiving",
+        action="store_true",
+        help="processor time of a frame in stonefall-cams, without a daemon",
     )
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
@@ -65,6 +86,8 @@ def main() -> int:
         with SimulatorProcess(
             folder, folder / "recording", rate_hz=arguments.rate, address=ADDRESS
         ) as simulator:
+            if arguments.receiving:
+                return compare_receiving(simulator, arguments)
             return soak(folder, spool, simulator, arguments)
 
 
@@ -205,6 +228,145 @@ def since_exposure_ms(result: dict[str, Any]) -> float:
     """Return the time from the exposure to the written result; both by the clock of this machine."""
     triggered, written = (datetime.fromisoformat(result[name]) for name in ("captured_at", "recorded_at"))
     return (written - triggered).total_seconds() * 1000 - TRIGGER_DELAY_NS / 1e6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Receiving:
+    """A way to receive frames."""
+
+    name: str
+    packet_bytes: int = 8192
+    n_buffers: int = 8
+    receive_buffer_bytes: int = 4 << 20
+    driver: str = ARAVIS
+
+
+WAYS = (
+    Receiving(name="as it is"),
+    Receiving(name="packets of 9000 bytes", packet_bytes=9000),
+    Receiving(name="packets of 1500 bytes", packet_bytes=1500),
+    Receiving(name="3 buffers", n_buffers=3),
+    Receiving(name="socket of 16 MB", receive_buffer_bytes=16 << 20),
+    Receiving(name="socket of a quarter MB", receive_buffer_bytes=1 << 18),
+    Receiving(name="images copied once more", driver="benchmarks.live:copying_camera"),
+    Receiving(name="packet socket", driver="benchmarks.live:packet_socket_camera"),
+)
+
+
+def copying_camera(settings: GigeCameraSettings, allocate: Allocate, last: Any) -> AravisCamera:
+    """Make a camera whose frames are copied before they are handed on."""
+
+    class Copied(AravisCamera):
+        def arm(self, sink: EventSink) -> None:
+            super().arm(CopyingSink(sink))
+
+    return Copied(settings, allocate, last)
+
+
+def packet_socket_camera(settings: GigeCameraSettings, allocate: Allocate, last: Any) -> AravisCamera:
+    """Make a camera whose stream may read its packets before UDP does, which needs CAP_NET_RAW."""
+    load_aravis(settings.id).Camera.gv_set_stream_options = lambda *_: None
+    return AravisCamera(settings, allocate, last)
+
+
+class CopyingSink:
+    """Copies each image into memory of its own, and hands on the original."""
+
+    def __init__(self, sink: EventSink) -> None:
+        self._sink = sink
+
+    def deliver(self, event: DeviceEvent) -> bool:
+        if isinstance(event, Frame):
+            event.image.copy()
+        return self._sink.deliver(event)
+
+
+class Counting:
+    """Counts the frames that come, and lets them go."""
+
+    def __init__(self) -> None:
+        self.n_frames = 0
+
+    def deliver(self, event: DeviceEvent) -> bool:
+        self.n_frames += isinstance(event, Frame)
+        return True
+
+
+def compare_receiving(simulator: SimulatorProcess, arguments: Any) -> int:
+    """Receive in each way, and show what a frame costs in the process of the cameras; 1 if the first way loses one."""
+    table = Table(
+        "by",
+        "sent, received",
+        "packets resent",
+        "ms of a frame",
+        "in Aravis' threads",
+        "in ours",
+        "cores without frames",
+        title=f"{len(simulator.cameras)} cameras, {arguments.rate:g} bundles/s, {arguments.seconds:g} s each",
+    )
+    # where the process finds the ways below
+    os.environ["PYTHONPATH"] = os.pathsep.join(
+        [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+    )
+    missing = []
+    for way in WAYS:
+        sent, received, resent, idle, spent_s = received_by(way, simulator, arguments.seconds)
+        missing.append(sent - received)
+        aravis_ms = 1e3 * spent_s.pop(ARAVIS_THREAD) / max(received, 1)
+        ours_ms = 1e3 * sum(spent_s.values()) / max(received, 1)
+        costs = [f"{ms:.2f}" for ms in (aravis_ms + ours_ms, aravis_ms, ours_ms)]
+        table.add_row(way.name, f"{sent}, {received}", str(resent), *costs, f"{idle:.3f}")
+    show(table, as_json=arguments.json, width=150)
+    return int(missing[0] != 0)
+
+
+def received_by(
+    way: Receiving, simulator: SimulatorProcess, seconds: float
+) -> tuple[int, int, int, float, dict[str, float]]:
+    """Return the frames sent and received, packets resent, cores used without frames, and seconds more with them.
+
+    These are by the names of the threads.
+    """
+    process = CameraProcess(way.driver)
+    try:
+        sink = Counting()
+        cameras = [RemoteCamera(settings_by(way, each), process) for each in simulator.cameras]
+        with ThreadPoolExecutor(len(cameras)) as calls:
+            list(calls.map(RemoteCamera.open, cameras))
+            list(calls.map(RemoteCamera.arm, cameras, [sink] * len(cameras)))
+        assert process.pid is not None
+        began_s = thread_cpu_s(process.pid)
+        time.sleep(IDLE_S)
+        idle_s, counted = thread_cpu_s(process.pid), simulator.ask({"do": "counters"})["cameras"]
+        from_s = time.monotonic()
+        simulator.ask({"do": "start"})
+        time.sleep(seconds)
+        simulator.ask({"do": "stop"})
+        time.sleep(SETTLE_S)
+        spent_s, lasted_s = thread_cpu_s(process.pid), time.monotonic() - from_s
+        now = simulator.ask({"do": "counters"})["cameras"]
+        sent, resent = (
+            sum(now[each][name] - counted[each][name] for each in now) for name in ("exposures", "resent")
+        )
+        cores = {name: (idle_s[name] - began_s[name]) / IDLE_S for name in spent_s}
+        more_s = {name: spent_s[name] - idle_s[name] - cores[name] * lasted_s for name in spent_s}
+        return sent, sink.n_frames, resent, sum(cores.values()), more_s
+    finally:
+        process.close()
+
+
+def settings_by(way: Receiving, camera: dict[str, str]) -> GigeCameraSettings:
+    return GigeCameraSettings(
+        id=CameraId(camera["id"]),
+        address=camera["address"],
+        interfaces=("127.0.0.1",),
+        image_size_px=(1280, 1024),
+        features=(*trigger_features(source="Line1", delay_us=0.0), *exposure_features(exposure_us=20.0)),
+        packet_size_bytes=way.packet_bytes,
+        receive_buffer_bytes=way.receive_buffer_bytes,
+        n_buffers=way.n_buffers,
+        may_be_simulated=True,
+    )
 
 
 if __name__ == "__main__":

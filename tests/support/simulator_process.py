@@ -45,11 +45,16 @@ class SimulatorProcess:
             self.process.communicate()
 
     @property
+    def cameras(self) -> list[dict[str, str]]:
+        """Id, serial number and address of each camera."""
+        return list(self._rig["cameras"])
+
+    @property
     def section(self) -> str:
         """`[rig]` of a daemon's configuration."""
         cameras = "\n".join(
             f'[[rig.cameras]]\nid = "{each["id"]}"\nserial = "{each["serial"]}"\naddress = "{each["address"]}"'
-            for each in self._rig["cameras"]
+            for each in self.cameras
         )
         return f"""[rig]
 backend = "aravis"
