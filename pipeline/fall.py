@@ -101,3 +101,12 @@ class Fall:
     def speed_at_center_mm_s(self) -> float:
         """Speed at the rig's centre, where the cameras expose."""
         return speed_mm_s(self.height_mm, self.speed_at_gate_mm_s)
+
+    def height_above_mm(self, later_ns: int) -> float:
+        """Return the height of another stone's lowest point above that of a stone at the rig's centre, negative below.
+
+        The other one reached the beam `later_ns` after it; one that has not yet is at the beam.
+        """
+        falling_s = fall_time_ms(self.height_mm, self.speed_at_gate_mm_s) / 1e3 - later_ns * 1e-9
+        fallen_mm = self.speed_at_gate_mm_s * falling_s + GRAVITY_MM_S2 * falling_s**2 / 2
+        return self.height_mm - (fallen_mm if falling_s > 0 else 0.0)

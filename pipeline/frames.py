@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
-from typing import NewType
+from typing import NamedTuple, NewType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +85,13 @@ class GateCount:
     at: str | None = None  # RFC 3339, where a count is resumed and it is known
 
 
+class NearStone(NamedTuple):
+    """Another stone that passed the light gate so soon before or after that it may be in the same picture."""
+
+    later_ns: int  # than the stone of this trigger, by the gate's clock; negative: before it
+    pulse_width_ns: int | None = None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trigger:
     """The passing of a stone through the light gate, or an exposure of the empty rig for `BACKGROUND`."""
@@ -99,6 +106,7 @@ class Trigger:
     is_announced: bool = True  # by the gate; False: made up for frames that came without, `utc` still unknown
     gate_count: GateCount | None = None  # with this trigger; None: the gate has no counter of its own
     n_stones: int = 1  # more: as many stones together, which only the gate's counter knows
+    near_stones: tuple[NearStone, ...] = ()  # in the order of the gate; filled in as the bundle is completed
 
 
 class MissingReason(StrEnum):

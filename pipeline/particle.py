@@ -15,6 +15,7 @@ from pipeline.body_measurement import (
 from pipeline.carving import CarvingParameters, carve
 from pipeline.errors import MeshError, RejectedError, RejectReason
 from pipeline.estimate import estimate_body
+from pipeline.fall import Fall
 from pipeline.frames import CameraId, Frame, FrameBundle
 from pipeline.meshing import MeshingParameters, ParticleMesh, mesh_hull
 from pipeline.refinement import photo_views, refine_body, vertex_greys
@@ -28,6 +29,7 @@ from pipeline.view_mapper import ViewMapper
 from pipeline.view_optics import ViewOptics
 from pipeline.views.consistency import Consistency, ConsistencyParameters, check_consistency
 from pipeline.views.dropped import DropCause, DroppedView
+from pipeline.views.near_stones import single_out
 from pipeline.views.prepared import PreparedViews, prepare_views
 from pipeline.views.quality import (
     Quality,
@@ -64,6 +66,7 @@ class PipelineParameters:
     meshing: MeshingParameters = field(default_factory=MeshingParameters)
     body: BodyParameters = field(default_factory=BodyParameters)
     measuring: MeasuringParameters = field(default_factory=MeasuringParameters)
+    fall: Fall = field(default_factory=Fall)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,9 +107,11 @@ def measure_bundle(
     RigError
         The rig has no calibration for a camera of the bundle.
     """
-    silhouettes = segment_all(bundle.frames, background, segmenter, view_mapper)
+    singled = single_out(bundle, rig, background, parameters.segmentation, parameters.fall, view_mapper)
+    frames = singled.frames
+    silhouettes = segment_all(frames, background, singled.segmenter(segmenter), view_mapper)
     on_stage("segment")
-    optics = observe_all(bundle.frames, background, silhouettes, view_mapper)
+    optics = observe_all(frames, background, silhouettes, view_mapper)
     on_stage("optics")
     dropped = {camera: DroppedView(DropCause.NO_FRAME, why) for camera, why in bundle.missing.items()}
     consistency = None
@@ -122,10 +127,11 @@ def measure_bundle(
         views = views.without(consistency.suspects)
         outlined = views.with_outline()  # a view of which only unknown is left tells nothing
         by_number = quality_of(rig.subset(outlined.camera_ids), rig, parameters.views)
-        if by_number is Quality.GOOD and shows_several(silhouettes):
+        is_merged = bool(singled.painted and consistency.suspects) or shows_several(silhouettes)
+        if by_number is Quality.GOOD and is_merged:
             by_number = Quality.REDUCED
         try:
-            body = _body(bundle.frames, views, background, parameters, on_stage)
+            body = _body(frames, views, background, parameters, on_stage)
             angularity = mean_angularity(
                 [silhouettes[camera] for camera in silhouettes if camera not in dropped]
             )
@@ -147,7 +153,7 @@ def measure_bundle(
         greys = None
         if parameters.body.is_textured:
             seen = None if body.refinement is None else body.refinement.views
-            greys = vertex_greys(body.mesh, seen or photo_views(bundle.frames, views, body.mesh.vertices_mm))
+            greys = vertex_greys(body.mesh, seen or photo_views(frames, views, body.mesh.vertices_mm))
             on_stage("texture")
     except RejectedError as rejection:
         return ParticleResult(

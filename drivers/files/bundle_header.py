@@ -11,7 +11,7 @@ from imagecodecs import deflate_crc32
 
 from drivers.errors import RecordingError
 from pipeline.formats import unread_format
-from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, Trigger
+from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, Image, NearStone, Trigger
 
 FORMAT = "stonefall-bundle/1"
 
@@ -121,6 +121,8 @@ def _document(bundle: FrameBundle, frames: Sequence[Frame], images: Sequence[Ima
         ],
         "missing": dict(bundle.missing),
     }
+    if trigger.near_stones:  # a header without them is what it always was
+        document["trigger"]["near_stones"] = [list(stone) for stone in trigger.near_stones]
     document["checksum"] = _checksum(document)
     return document
 
@@ -145,6 +147,10 @@ def _parse(path: Path, document: Mapping[str, Any]) -> BundleHeader:
             pulse_width_ns=None if pulse_width_ns is None else _typed(pulse_width_ns, int),
             kind=BundleKind(document["kind"]),
             name=None if name is None else _typed(name, str),
+            near_stones=tuple(
+                NearStone(_typed(later_ns, int), None if width_ns is None else _typed(width_ns, int))
+                for later_ns, width_ns in _typed(times.get("near_stones", []), list)
+            ),
         ),
         image_size_px=(_typed(width_px, int), _typed(height_px, int)),
         frames={

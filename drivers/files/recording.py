@@ -16,7 +16,7 @@ from drivers.files.bundle_header import BundleHeader
 from drivers.files.durable import new_folder, read_json, write_json
 from drivers.files.rig_file import read_rig, write_rig
 from drivers.files.times import utc_now
-from pipeline.fall import Fall
+from pipeline.fall import FALL_HEIGHT_MM, Fall
 from pipeline.formats import unread_format
 from pipeline.frames import CAMERA_ID, BundleKind, CameraId, FrameBundle, Trigger
 from pipeline.rig.cameras import RigCalibration
@@ -38,7 +38,7 @@ __all__ = [
 FORMAT = "stonefall-recording/1"
 UNKNOWN_UTC = "1970-01-01T00:00:00.000Z"
 UNREADABLE_SPACING_NS = 250_000_000
-MAX_SPEED_MM_S = 100_000
+MAX_FALL = {"fall_height_mm": 100_000, "speed_at_gate_mm_s": 100_000}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +51,7 @@ class Recording:
     rig_name: str
     is_simulated: bool
     holds_masks: bool  # silhouettes, 255 where the body is, instead of photographs
-    speed_at_gate_mm_s: float  # of the stones when they closed the beam of the gate
+    fall: Fall  # of the stones from the gate
     rig: RigCalibration | None
     document: Mapping[str, Any]
     """The content of recording.json."""
@@ -97,7 +97,7 @@ def open_recording(path: Path, *, takes_masks: bool = False) -> Recording:
         rig_name=str(document.get("rig_name", "")),
         is_simulated=is_simulated,
         holds_masks=bool(holds_masks),
-        speed_at_gate_mm_s=_speed_at_gate_mm_s(document_path, document),
+        fall=_fall(document_path, document),
         rig=rig,
         document=document,
         headers=headers,
@@ -307,16 +307,21 @@ def _image_size(path: Path, document: Mapping[str, Any]) -> tuple[int, int]:
     raise RecordingError(path, f"image_size_px: must be [W, H] in pixels, not {size_px!r}")
 
 
-def _speed_at_gate_mm_s(path: Path, document: Mapping[str, Any]) -> float:
-    """Return the speed that recording.json gives; without one the stones were let go at the beam, so it is 0."""
-    match document.get("gate_settings", {}):
-        case {"speed_at_gate_mm_s": int(speed) | float(speed)} if 0 <= speed <= MAX_SPEED_MM_S:
-            return float(speed)
-        case {"speed_at_gate_mm_s": other}:
-            raise RecordingError(
-                path, f"gate_settings.speed_at_gate_mm_s: must be in 0..{MAX_SPEED_MM_S:g}, not {other!r}"
-            )
-        case Mapping():
-            return 0.0
-        case other:
-            raise RecordingError(path, f"gate_settings: must be an object, not {other!r}")
+def _fall(path: Path, document: Mapping[str, Any]) -> Fall:
+    """Return the fall that recording.json gives; by default from rest at the beam, from the usual height."""
+    settings = document.get("gate_settings", {})
+    if not isinstance(settings, Mapping):
+        raise RecordingError(path, f"gate_settings: must be an object, not {settings!r}")
+
+    def given(name: str, least: float, default: float) -> float:
+        match settings.get(name, default):
+            case int(value) | float(value) if least <= value <= MAX_FALL[name]:
+                return float(value)
+            case other:
+                wrong = f"gate_settings.{name}: must be in {least:g}..{MAX_FALL[name]:g}, not {other!r}"
+                raise RecordingError(path, wrong)
+
+    return Fall(
+        height_mm=given("fall_height_mm", 1, FALL_HEIGHT_MM),
+        speed_at_gate_mm_s=given("speed_at_gate_mm_s", 0, 0.0),
+    )

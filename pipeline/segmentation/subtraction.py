@@ -83,18 +83,12 @@ class BackgroundSegmenter:
         if box is None:
             return no_body(frame, status), compared
         region = _full_size(box, frame.image.shape)
-        image, empty_levels = (
-            smoothed(levels[region], compared.noise) for levels in (frame.image, known.levels)
-        )
-        expected = (
-            empty_levels
-            if compared.light is None
-            else _lit(empty_levels, compared.light[_block_slices(region)])
-        )
+        image, empty = (smoothed(levels[region], compared.noise) for levels in (frame.image, known.levels))
+        expected = lit_as(compared, empty, region)
         delineation = delineate(
             image,
             expected,
-            background_trimap(image, expected, empty_levels, thresholds),
+            background_trimap(image, expected, empty, thresholds),
             gain=compared.gain,
             noise=known.noise,
             min_contrast=self.parameters.min_contrast,
@@ -212,6 +206,11 @@ def _block_slices(region: tuple[slice, slice]) -> tuple[slice, slice]:
     """Return rows and columns of the blocks of a region, which begins with one."""
     rows, columns = (slice(at.start // COARSE, -(-at.stop // COARSE)) for at in region)
     return rows, columns
+
+
+def lit_as(compared: ComparedView, levels: GreyImage, region: Slices) -> GreyImage:
+    """Return grey levels (h, w) of a region, which begins with a block, in the uneven light of a view, gain aside."""
+    return levels if compared.light is None else _lit(levels, compared.light[_block_slices(region)])
 
 
 def _lit(levels: GreyImage, light: FloatImage) -> GreyImage:

@@ -36,6 +36,7 @@ from pipeline.frames import BundleKind, CameraId, Frame, FrameBundle, MissingRea
 from service.bundling.exposure_check import LATEST_FRAME_NS, ExposureCheck, MatchedFrame
 from service.bundling.frame_account import REMEMBERED_TRIGGERS, BundlingCounters, CameraCounters, FrameAccount
 from service.bundling.missed_triggers import CounterGap, MissedTriggers
+from service.bundling.near_stones import NearStones
 from service.bundling.window import IN_VIEW_NS, BundlingParameters, OpenTrigger
 
 DELIVERY_NS = 300_000_000
@@ -66,6 +67,7 @@ class BundleAssembler:
         self._last_trigger: Trigger | None = None  # outside of the dead time
         self._exposures = {camera: ExposureCheck(self._window_ns) for camera in self._camera_ids}
         self.counters = BundlingCounters(cameras={camera: CameraCounters() for camera in self._camera_ids})
+        self._near = NearStones(self._spacing_ns)
         self._account = FrameAccount(self.counters.cameras, self._window_ns)
 
     @property
@@ -79,6 +81,7 @@ class BundleAssembler:
         """Process one event; return the bundles that it finished, in the order of their triggers."""
         match event:
             case Trigger():
+                self._near.note(event)
                 self._announce(event)
             case Frame() | FrameLost():
                 if isinstance(event, Frame):
@@ -104,6 +107,7 @@ class BundleAssembler:
                 reason = MissingReason.DOWN if event.while_down else MissingReason.UNSEEN
                 self.missed.note_gap(CounterGap(event.received_ns, event.count, reason, due_ns))
             case PulseEnded():
+                self._near.note_pulse(event.sequence, event.width_ns)
                 for window in self._open:
                     if window.trigger.sequence == event.sequence:
                         window.trigger = replace(window.trigger, pulse_width_ns=event.width_ns)
@@ -375,6 +379,7 @@ class BundleAssembler:
         )
 
     def _close(self, window: OpenTrigger, reason: MissingReason = MissingReason.NO_FRAME) -> FrameBundle:
+        window.trigger = self._near.told(window.trigger)
         bundle = window.bundle(self._camera_ids, reason)
         self._account.count_closed(window, bundle)
         if bundle.missing:

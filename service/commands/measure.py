@@ -133,9 +133,8 @@ def command(options: MeasureOptions) -> None:
     except ValueError as err:
         raise typer.BadParameter(str(err), param_hint="--isolevel") from err
     context = WorkerContext(
-        parameters=parameters,
+        parameters=replace(parameters, fall=source.fall),
         is_simulated=source.is_simulated,
-        speed_at_gate_mm_s=source.speed_at_gate_mm_s,
         segmentation=SegmenterPlan(takes_masks=True)
         if source.holds_masks
         else _segmenter_plan(segmentation, options.segmenter, options.model),

@@ -226,7 +226,11 @@ class LiveRigSettings(ABC):
             rig=rig,
             is_simulated=devices.is_simulated,
             camera_settings={name: value for name, value in document.items() if name != "gate"},
-            gate_settings={**document["gate"], "speed_at_gate_mm_s": self.fall.speed_at_gate_mm_s},
+            gate_settings={
+                **document["gate"],
+                "fall_height_mm": self.fall.height_mm,
+                "speed_at_gate_mm_s": self.fall.speed_at_gate_mm_s,
+            },
             fall=self.fall,
         )
 

@@ -20,7 +20,6 @@ from drivers.cameras.genicam import (
 from drivers.cameras.host_trigger import ActionKeys
 from drivers.factory import AravisBackend, Devices, ReplayBackend
 from drivers.files.recording import RecordingSource
-from pipeline.fall import Fall
 from pipeline.rig.cameras import RigCalibration
 from service.base.paths import ConfiguredPath
 from service.base.schema import require_ranges
@@ -78,7 +77,7 @@ class ReplayRigSettings:
             is_simulated=devices.is_simulated,
             camera_settings=recording.document.get("camera_settings", {}),
             gate_settings=recording.document.get("gate_settings", {}),
-            fall=Fall(speed_at_gate_mm_s=recording.speed_at_gate_mm_s),
+            fall=recording.fall,
         )
 
     @property

@@ -118,8 +118,12 @@ class Settings(BaseModel):
 
     @property
     def pipeline(self) -> PipelineParameters:
-        """Return the parameters of the pipeline; raise `VolumeModelError` when the volume model is unusable."""
-        given = {part.name: getattr(self, part.name) for part in fields(PipelineParameters)}
+        """Return the parameters of the pipeline, but for the fall, which the source of the stones knows.
+
+        Raises `VolumeModelError` when the volume model is unusable.
+        """
+        names = {part.name for part in fields(PipelineParameters)} & Settings.model_fields.keys()
+        given = {name: getattr(self, name) for name in names}
         given |= {name: given[name].parameters for name in ("segmentation", "measuring")}
         return PipelineParameters(**given)
 

@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from pipeline.frames import FrameBundle
 from pipeline.rig.cameras import RigCalibration
@@ -136,9 +136,8 @@ async def _worker_context(session: Session) -> WorkerContext:
     if segmentation.warning is not None:
         log.error("%s", segmentation.warning)
     return WorkerContext(
-        parameters=session.settings.pipeline,
+        parameters=replace(session.settings.pipeline, fall=session.source.fall),
         is_simulated=session.source.is_simulated,
-        speed_at_gate_mm_s=session.source.fall.speed_at_gate_mm_s,
         segmentation=segmentation,
         compact_meshes=not session.settings.store.exact_meshes,
         draws_thumbnails=True,

@@ -59,7 +59,6 @@ class WorkerContext:
 
     parameters: PipelineParameters
     is_simulated: bool
-    speed_at_gate_mm_s: float = 0.0  # of the stones, as the gate's beam closes
     segmentation: SegmenterPlan = CLASSICAL
     compact_meshes: bool = False  # instead of PLY
     draws_thumbnails: bool = False  # of bodies, but in a rush
@@ -226,7 +225,7 @@ def measure(job: MeasureJob) -> MeasuredBundle:
         bundle=bundle.name,
         calibration_id=job.rig_file.calibration_id,
         is_simulated=worker.context.is_simulated,
-        speed_at_gate_mm_s=worker.context.speed_at_gate_mm_s,
+        speed_at_gate_mm_s=parameters.fall.speed_at_gate_mm_s,
         timings_ms=timings_ms,
     )
     changes = {"mesh": None if result.mesh is None else MESH}

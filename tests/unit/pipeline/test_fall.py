@@ -4,6 +4,7 @@ from hypothesis import strategies as st
 
 from pipeline.fall import (
     GRAVITY_MM_S2,
+    Fall,
     blur_px,
     extent_is_plausible,
     fall_time_ms,
@@ -36,6 +37,27 @@ def test_delay_and_speed_follow_the_law_of_falling(height_mm: float, speed_at_ga
     t_s = fall_time_ms(height_mm, speed_at_gate) / 1e3
     assert speed_at_gate * t_s + GRAVITY_MM_S2 * t_s**2 / 2 == pytest.approx(height_mm)
     assert speed_mm_s(height_mm, speed_at_gate) == pytest.approx(speed_at_gate + GRAVITY_MM_S2 * t_s)
+
+
+@given(HEIGHTS_MM, SPEEDS_MM_S, st.floats(-0.05, 0.3))
+def test_another_stone_is_above_by_what_it_has_not_fallen_yet(
+    height_mm: float, speed_at_gate: float, later_s: float
+) -> None:
+    fall = Fall(height_mm=height_mm, speed_at_gate_mm_s=speed_at_gate)
+    above_mm = fall.height_above_mm(round(later_s * 1e9))
+    left_s = fall_time_ms(height_mm, speed_at_gate) / 1e3 - later_s
+    if left_s > 0:
+        assert fall_time_ms(height_mm - above_mm, speed_at_gate) / 1e3 == pytest.approx(left_s, abs=1e-6)
+    else:
+        assert above_mm == height_mm  # still at the beam
+    assert above_mm <= height_mm
+    assert (above_mm > 0) == (round(later_s * 1e9) > 0) or abs(above_mm) < 1e-3
+
+
+def test_stones_20_ms_apart_are_47_mm_apart_at_the_centre() -> None:
+    assert Fall().height_above_mm(20_000_000) == pytest.approx(46.6, abs=0.05)
+    assert Fall().height_above_mm(-20_000_000) == pytest.approx(-50.5, abs=0.05)
+    assert Fall(speed_at_gate_mm_s=1400).height_above_mm(20_000_000) == pytest.approx(54.1, abs=0.05)
 
 
 @given(st.floats(0.5, 100), SPEEDS_MM_S)

@@ -11,7 +11,8 @@ from support.extents import first_quick
 from pipeline.body_measurement import MeasuringParameters
 from pipeline.carving import CarvingParameters
 from pipeline.errors import RejectReason
-from pipeline.frames import CameraId, Frame, FrameBundle
+from pipeline.fall import Fall, pulse_width_ns
+from pipeline.frames import CameraId, Frame, FrameBundle, NearStone
 from pipeline.paper import PAPER, paper_at
 from pipeline.particle import BodyParameters, ParticleResult, PipelineParameters, measure_bundle
 from pipeline.segmentation import BackgroundModel, Silhouette
@@ -26,6 +27,7 @@ from pipeline.views.quality import Quality, ViewsParameters
 
 RIG = rendered.rig()
 PARAMETERS = PipelineParameters()
+FALL = Fall(speed_at_gate_mm_s=1400)
 
 
 def measured(
@@ -243,3 +245,37 @@ def test_stages_are_reported_in_their_order() -> None:
 def test_view_parameters_are_checked(wrong: dict[str, int]) -> None:
     with pytest.raises(ValueError, match=r"views need|max_unusable"):
         ViewsParameters(**wrong)
+
+
+def with_other(above_mm: float, lateral_mm: float = 0.0) -> FrameBundle:
+    """The exposure of a 10 mm sphere with one of 8 mm above it, which passed the gate later, at 1.4 m/s."""
+    due, other = rendered.placed(sphere(10.0)), rendered.placed(sphere(8.0), (lateral_mm, 0, above_mm))
+    bundle = rendered.bundle_of(due, other, number=7)
+    later_ns = next(
+        ns
+        for ns in range(0, 60_000_000, 10_000)
+        if FALL.height_above_mm(ns) >= above_mm + 1  # of the lowest point
+    )
+    near = (NearStone(later_ns, pulse_width_ns(8, FALL.speed_at_gate_mm_s)),)
+    width_ns = pulse_width_ns(10, FALL.speed_at_gate_mm_s)
+    return replace(bundle, trigger=replace(bundle.trigger, pulse_width_ns=width_ns, near_stones=near))
+
+
+def test_the_stone_that_is_due_is_measured_as_if_the_other_one_were_not_there() -> None:
+    """Announced by the gate the other one is left out, unannounced both are rejected, as they always were."""
+    due = rendered.bundle_of(rendered.placed(sphere(10.0)), number=7)
+    both = with_other(24.0)
+    parameters = replace(PARAMETERS, fall=FALL, body=BodyParameters("estimate", texture=False))
+    alone, beside = (measured(bundle, parameters=parameters) for bundle in (due, both))
+    assert beside.quality is Quality.GOOD
+    assert len(beside.views) == 16
+    assert alone.measurement is not None and beside.measurement is not None
+    assert beside.measurement.volume_mm3 == pytest.approx(alone.measurement.volume_mm3, rel=2e-3)
+    assert beside.measurement.shape.center_mm == pytest.approx((0, 0, 0), abs=0.02)
+    unannounced = replace(both, trigger=replace(both.trigger, near_stones=()))
+    assert rejected_for(measured(unannounced, parameters=parameters)) is RejectReason.MULTIPLE
+
+
+def test_stones_that_cover_each_other_in_several_views_are_rejected() -> None:
+    parameters = replace(PARAMETERS, fall=FALL)
+    assert rejected_for(measured(with_other(12.0), parameters=parameters)) is RejectReason.MULTIPLE

@@ -17,9 +17,11 @@ from support.recordings import (
 )
 
 from drivers.errors import RecordingError
+from drivers.files.bundle_header import header_text
 from drivers.files.recording import RecordingWriter, open_recording, playback_order, read_bundle
 from drivers.files.rig_file import read_rig, write_rig
-from pipeline.frames import BundleKind, CameraId
+from pipeline.fall import Fall
+from pipeline.frames import BundleKind, CameraId, NearStone
 
 
 def names_in_playback(path: Path) -> list[str]:
@@ -43,24 +45,36 @@ def test_a_recording_gives_back_what_was_added(tmp_path: Path) -> None:
         assert_same_bundle(read_bundle(header.path, recording.camera_ids), bundle)
 
 
-def test_how_fast_stones_passed_the_gate(tmp_path: Path) -> None:
+def test_how_stones_fell_from_the_gate(tmp_path: Path) -> None:
     path = write_recording(tmp_path / "rec", [make_bundle(0)])
-    assert open_recording(path).speed_at_gate_mm_s == 0
+    assert open_recording(path).fall == Fall()
     document = json.loads((path / "recording.json").read_text())
 
-    def speed_of(gate_settings: object) -> float:
+    def fall_of(gate_settings: object) -> Fall:
         (path / "recording.json").write_text(json.dumps(document | {"gate_settings": gate_settings}))
-        return open_recording(path).speed_at_gate_mm_s
+        return open_recording(path).fall
 
-    assert speed_of({"port": "gate"}) == 0
-    assert speed_of({"speed_at_gate_mm_s": 313}) == 313
-    for wrong in (-1, "313", None, float("nan"), float("inf")):
-        with pytest.raises(
-            RecordingError, match=r"recording\.json: gate_settings\.speed_at_gate_mm_s: must be in"
-        ):
-            speed_of({"speed_at_gate_mm_s": wrong})
+    assert fall_of({"port": "gate"}) == Fall()
+    assert fall_of({"speed_at_gate_mm_s": 313}) == Fall(speed_at_gate_mm_s=313)
+    assert fall_of({"fall_height_mm": 450.5}) == Fall(height_mm=450.5)
+    for name in ("speed_at_gate_mm_s", "fall_height_mm"):
+        for wrong in (-1, "313", None, float("nan"), float("inf")):
+            with pytest.raises(RecordingError, match=rf"recording\.json: gate_settings\.{name}: must be in"):
+                fall_of({name: wrong})
     with pytest.raises(RecordingError, match=r"recording\.json: gate_settings: must be an object, not \[\]"):
-        speed_of([])
+        fall_of([])
+
+
+def test_stones_near_in_time_are_recorded_with_a_bundle(tmp_path: Path) -> None:
+    near = (NearStone(-21_000_000, 9_000_000), NearStone(17_500_000))
+    bundle = make_bundle(1)
+    crowded = replace(bundle, trigger=replace(bundle.trigger, near_stones=near))
+    path = write_recording(tmp_path / "rec", [make_bundle(0), crowded])
+    alone, found = (read_bundle(header.path, CAMERAS) for header in open_recording(path).headers)
+    assert found.trigger.near_stones == near
+    assert alone.trigger.near_stones == ()
+    frames = list(alone.frames.values())
+    assert "near_stones" not in header_text(alone, frames, [frame.image for frame in frames])
 
 
 def test_background_comes_before_the_first_stone(tmp_path: Path) -> None:

@@ -382,6 +382,7 @@ def test_a_recording_of_a_live_rig_says_how_fast_stones_pass_the_gate(tmp_path: 
     source = settings.rig.source(devices, nominal_rig())
     assert source.fall == settings.rig.fall
     assert source.gate_settings["speed_at_gate_mm_s"] == pytest.approx(313.2, abs=0.1)
+    assert source.gate_settings["fall_height_mm"] == source.fall.height_mm
     assert source.camera_settings == {
         name: value for name, value in settings.model_dump(mode="json")["rig"].items() if name != "gate"
     }
