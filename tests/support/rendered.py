@@ -12,6 +12,7 @@ from drivers.files.bundle_file import Compression
 from drivers.files.recording import RecordingSource, RecordingWriter
 from pipeline.evaluation.scene import EvaluationScene, build_scene
 from pipeline.evaluation.trials import STANDARDS
+from pipeline.fall import Fall
 from pipeline.frames import FrameBundle
 from pipeline.rig.cameras import RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
@@ -23,6 +24,7 @@ from pipeline.synthesis.placement import tumble
 from pipeline.synthesis.renderer import PlacedBody, RenderedRig
 
 SEED = 20
+FROM_REST = Fall()
 
 
 @cache
@@ -80,12 +82,24 @@ def tumbled_bundle(name: str, number: int) -> FrameBundle:
 
 
 def recording_of(
-    path: Path, rig: RigCalibration, made_by: dict[str, Any], compression: Compression = "zstd"
+    path: Path,
+    rig: RigCalibration,
+    made_by: dict[str, Any],
+    compression: Compression = "zstd",
+    fall: Fall = FROM_REST,
 ) -> RecordingWriter:
     """A new recording of what this rig was rendered with."""
     return RecordingWriter(
         path,
-        RecordingSource(camera_ids=rig.camera_ids, rig=rig, is_simulated=True),
+        RecordingSource(
+            camera_ids=rig.camera_ids,
+            rig=rig,
+            is_simulated=True,
+            gate_settings={
+                "fall_height_mm": fall.height_mm,
+                "speed_at_gate_mm_s": fall.speed_at_gate_mm_s,
+            },
+        ),
         made_by=made_by,
         compression=compression,
     )

@@ -1,7 +1,7 @@
 """A small synthetic recording with stones, for tests that need real images."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,7 +11,8 @@ import numpy as np
 from support.render_cache import kept_rendered
 from support.rendered import recording_of
 
-from pipeline.frames import CameraId, FrameBundle
+from pipeline.fall import Fall, pulse_width_ns
+from pipeline.frames import CameraId, FrameBundle, NearStone, Trigger
 from pipeline.rig.cameras import CameraCalibration, RigCalibration
 from pipeline.rig.design import as_built, nominal_rig
 from pipeline.synthesis.bodies import Body, ball, cube, sphere
@@ -130,6 +131,50 @@ def write_odd_recording(path: Path) -> None:
     """After two exposures of the empty rig: nothing, two stones at once, one cut off, each between whole ones."""
     with recording_of(path, thumbnail_rig(), MADE_BY) as writer:
         for bundle in _odd_bundles():
+            writer.add(bundle)
+
+
+CROWDED_FALL = Fall(speed_at_gate_mm_s=1400.0)
+"""A fall in which stones that are in one picture have pulses of their own at the gate."""
+
+
+@kept_rendered
+def _crowded_bundles() -> list[FrameBundle]:
+    simulated = simulate_rig(thumbnail_rig(), stream(4, 0))
+    due = _placed(sphere(10.0), 0, 0, 0)
+    others = {
+        "alone": [],
+        "above": [_placed(sphere(8.0), 1, 0, 26)],
+        "unannounced": [_placed(sphere(8.0), 1, 0, 26)],
+        "touching": [_placed(sphere(8.0), 0, 0, 10)],
+        "between": [_placed(sphere(8.0), 1, 0, 28), _placed(sphere(8.0), 0, 1, -28)],
+    }
+    bundles = [render_empty(simulated, stream(4, 1, number), sequence=number) for number in (1, 2)]
+    for number, (label, near) in enumerate(others.items(), start=3):
+        bundle = render_bundle([due, *near], simulated, stream(4, 2), sequence=number, label=label)
+        bundles.append(
+            replace(bundle, trigger=_announced(bundle.trigger, [] if label == "unannounced" else near))
+        )
+    return bundles
+
+
+def _announced(trigger: Trigger, near: Sequence[PlacedBody]) -> Trigger:
+    """The trigger of a sphere of 10 mm at the centre, with the pulses of others of 8 mm."""
+    fall, times_ns = CROWDED_FALL, range(-40_000_000, 40_000_000, 10_000)
+    heights_mm = np.array([fall.height_above_mm(later_ns) for later_ns in times_ns])
+    stones = [
+        NearStone(
+            times_ns[int(np.searchsorted(heights_mm, placed.offset_mm[2] + 1))], pulse_width_ns(8, 1400)
+        )
+        for placed in near
+    ]
+    return replace(trigger, pulse_width_ns=pulse_width_ns(10, 1400), near_stones=tuple(sorted(stones)))
+
+
+def write_crowded_recording(path: Path) -> None:
+    """The same sphere after two exposures of the empty rig: alone, and with others in the picture."""
+    with recording_of(path, thumbnail_rig(), MADE_BY, fall=CROWDED_FALL) as writer:
+        for bundle in _crowded_bundles():
             writer.add(bundle)
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from support.discs import views_of
+from support.parts import ball_points, views_of
 
 from pipeline.fall import Fall, pulse_width_ns
 from pipeline.frames import NearStone, Trigger
@@ -39,19 +39,19 @@ def test_places_follow_from_the_times_at_the_gate() -> None:
 
 
 def test_a_stone_far_above_is_told_apart_in_every_view_that_shows_it() -> None:
-    spheres = [(np.array([1.0, -1.0, 2.0]), 12.0), (np.array([-1.0, 1.0, 36.0]), 14.0)]
+    balls = [ball_points((1, -1, 2), 12), ball_points((-1, 1, 36), 14)]
     told = tell_apart(
-        views_of(RIG, spheres),
+        views_of(RIG, balls),
         [PredictedStone(center_mm=at(0), extent_mm=12), PredictedStone(center_mm=at(32), extent_mm=14)],
     )
     assert not told.covered
     assert len(told.others) >= 8
-    assert told.places[0].center_mm == pytest.approx(spheres[0][0], abs=0.3)
+    assert told.places[0].center_mm == pytest.approx((1, -1, 2), abs=0.3)
 
 
 def test_a_stone_that_covers_the_other_in_some_views_is_not_used_in_these() -> None:
     """Seen from 54 degrees above, stones one above the other cover each other although 5 mm are between them."""
-    views = views_of(RIG, [(at(0), 15.0), (at(20), 15.0)])
+    views = views_of(RIG, [ball_points(at(0), 15), ball_points(at(20), 15)])
     told = tell_apart(
         views, [PredictedStone(center_mm=at(0), extent_mm=15), PredictedStone(center_mm=at(20), extent_mm=15)]
     )
@@ -59,7 +59,7 @@ def test_a_stone_that_covers_the_other_in_some_views_is_not_used_in_these() -> N
 
 
 def test_a_stone_that_is_not_where_it_should_be_spoils_only_views_that_it_could_cover() -> None:
-    views = views_of(RIG, [(at(0), 10.0)])
+    views = views_of(RIG, [ball_points(at(0), 10)])
     far = tell_apart(
         views, [PredictedStone(center_mm=at(0), extent_mm=10), PredictedStone(center_mm=at(60), extent_mm=10)]
     )
@@ -82,12 +82,12 @@ def test_the_due_stone_is_never_painted_over_and_never_seen_with_another(
 ) -> None:
     """Whatever was predicted within the stated error: views in use show exactly the due stone, once others are gone."""
     other_mm = other_mm + at(above_mm)
-    spheres = [(due_mm, due_size_mm), (other_mm, other_size_mm)]
+    balls = [ball_points(due_mm, due_size_mm), ball_points(other_mm, other_size_mm)]
     places = [
         PredictedStone(center_mm=at(0), extent_mm=due_size_mm),
         PredictedStone(center_mm=at(above_mm + off_mm), extent_mm=other_size_mm),
     ]
-    both, alone = views_of(RIG, spheres), views_of(RIG, spheres[:1])
+    both, alone = views_of(RIG, balls), views_of(RIG, balls[:1])
     told = tell_apart(both, places)
     for view, single in zip(both, alone, strict=True):
         camera = view.camera.id
