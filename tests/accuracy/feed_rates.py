@@ -17,6 +17,7 @@ import sys
 from argparse import ArgumentParser
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,7 @@ DEAD_TIME_S = 0.012
 IN_VIEW_S = 0.05
 N_BODIES = 50
 RENDERED_RATE_HZ = 10
+RIG = as_built(nominal_rig(), 1)
 MAX_UNUSABLE = ViewsParameters().max_unusable
 
 
@@ -97,8 +99,7 @@ class Exposed:
 def falling(rate_hz: float, seconds: float, seed: int) -> list[Falling]:
     """Stones in the order in which they reach the gate."""
     rng = stream(seed, round(1000 * rate_hz))
-    forms = list(STONE_FORMS)
-    bodies = [stone(forms[n % len(forms)], 20.0, stream(seed, 1, n)) for n in range(N_BODIES)]
+    bodies = _bodies(seed)
     at_s, found = 0.0, []
     while (at_s := at_s + float(rng.exponential(1 / rate_hz))) < seconds:
         body = bodies[int(rng.integers(N_BODIES))]
@@ -107,6 +108,13 @@ def falling(rate_hz: float, seconds: float, seed: int) -> list[Falling]:
         beside_mm = OFFSET_SD_MM * rng.normal(size=2)
         found.append(Falling(at_s, replace(body, mesh=mesh), gate, exposed, beside_mm))
     return found
+
+
+@cache
+def _bodies(seed: int) -> list[Body]:
+    """Bodies of 20 mm, of all forms in turn."""
+    forms = list(STONE_FORMS)
+    return [stone(forms[n % len(forms)], 20.0, stream(seed, 1, n)) for n in range(N_BODIES)]
 
 
 def gated(stones: Sequence[Falling], fall: Fall) -> tuple[list[tuple[Falling, int]], int]:
@@ -169,7 +177,7 @@ def _is_near(other: Falling, due: Falling) -> bool:
 
 def outcome(exposed: Exposed, fall: Fall) -> tuple[str, str, int]:
     """Return what becomes of a stone, what would with no other one announced, and views in use that show it merged."""
-    rig, share = as_built(nominal_rig(), 1), SegmentationParameters().second_body_share
+    rig, share = RIG, SegmentationParameters().second_body_share
     due, others = _points(exposed.due), [_points(other) for other in exposed.others]
     alone = views_of(rig, [due])
     if sum(bool(view.parts.is_cut.any()) for view in alone) > MAX_UNUSABLE:

@@ -100,6 +100,8 @@ NAMES |= {
     "kind",
     "object",
     "all turns of",
+    "start mm",
+    "rate",
     "form",
     "healthy stones",
     "cameras",
@@ -193,6 +195,7 @@ RUNS: Mapping[str, Run] = {
             ("refinement", "accuracy/refinement.py", "f2", "photo"),
             ("refinement-8", "accuracy/refinement.py --bodies dented --size-mm 8", "f2", "photo"),
             ("surfaces", "accuracy/surfaces.py --seed 113 --count 1", "as named", "photo"),
+            ("feed", "accuracy/feed_rates.py --seconds 20 --rendered 24", "f2", "photo"),
             ("bumps", "accuracy/bumps.py --recalibrate", "sharp", None),
             ("bumps-f2", "accuracy/bumps.py --lens f2 --turns 0.01 0.1 --recalibrate", "f2", None),
             (
