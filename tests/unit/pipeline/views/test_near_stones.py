@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from support.parts import ball_points, views_of
+from support.parts import MIN_PX, ball_points, views_of
 
 from pipeline.fall import Fall, pulse_width_ns
 from pipeline.frames import NearStone, Trigger
 from pipeline.rig.design import as_built, nominal_rig
+from pipeline.segmentation.view_parts import parts_of
 from pipeline.synthesis.bundles import stream
 from pipeline.synthesis.stones import STONE_FORMS, stone
 from pipeline.views.near_stones import PredictedStone, predicted_places, tell_apart
@@ -56,6 +57,21 @@ def test_a_stone_that_covers_the_other_in_some_views_is_not_used_in_these() -> N
         views, [PredictedStone(center_mm=at(0), extent_mm=15), PredictedStone(center_mm=at(20), extent_mm=15)]
     )
     assert told.covered == {camera.id for camera in RIG.cameras if abs(camera.center_mm[2]) > 200}
+
+
+def test_what_lies_on_both_sides_of_a_dark_aperture_may_touch_behind_it() -> None:
+    views = views_of(RIG, [ball_points(at(0), 12), ball_points(at(32), 14)])
+    stones = [PredictedStone(center_mm=at(z), extent_mm=size) for z, size in ((0, 12), (32, 14))]
+    shown = set(tell_apart(views, stones).others)
+    dark = [
+        replace(
+            view, parts=parts_of(view.parts.numbers > 0, np.ones(view.parts.numbers.shape, np.bool_), MIN_PX)
+        )
+        for view in views
+    ]
+    told = tell_apart(dark, stones)
+    assert shown and told.covered >= shown
+    assert not told.others
 
 
 def test_a_stone_that_is_not_where_it_should_be_spoils_only_views_that_it_could_cover() -> None:
