@@ -80,7 +80,7 @@ def rig_warnings(settings: RigSettings, bundling: BundlingSettings) -> Iterator[
             " allowed, but they get hot, and shine less bright than in a flash; if they do flash, say which output"
             ' fires them (strobe_line) and how long they shine (flash_us): see "Light" in deploy/README.md'
         )
-    for most in [each for each in carried_by(settings, bundling)[:1] if not each.is_carried]:
+    for most in [each for each in carried_by(settings, bundling)[:1] if each.load > 1]:
         yield (
             f"rig.uplink_bytes_s: a bundle takes {most.bundle_ms:.0f} ms on the wire, but stones may come every"
             f" {1e3 / most.rate_hz:.0f} ms: at more than {MOST_LOAD * 1e3 / most.bundle_ms:.1f} a second frames"
