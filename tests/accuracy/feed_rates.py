@@ -18,6 +18,7 @@ from argparse import ArgumentParser
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -266,13 +267,13 @@ def errors(n_stones: int, seed: int) -> Table:
     """The table of rendered stones with another one in the picture."""
     scene = build_scene(seed, exposure=LENS_PRESETS[LensPreset.F2])
     fall = Fall(speed_at_gate_mm_s=speed_mm_s(STARTS_MM[1]))
-    crowded = [
-        each
-        for each in exposures(falling(RENDERED_RATE_HZ, 60 * 10, seed), fall)[0]
-        if len(each.others) == 1 and outcome(each, fall)[:2] == ("good", "several")
-    ][:n_stones]
+    fallen, *_ = exposures(falling(RENDERED_RATE_HZ, 60.0, seed), fall)
+    crowded = (
+        each for each in fallen if len(each.others) == 1 and outcome(each, fall)[:2] == ("good", "several")
+    )
+    chosen = list(islice(crowded, n_stones))
     rows = []
-    for number, each in enumerate(track(crowded, "measuring", console=Console(stderr=True), transient=True)):
+    for number, each in enumerate(track(chosen, "measuring", console=Console(stderr=True), transient=True)):
         truth = Surface(each.due.world_mesh)
         for bodies in ([each.due], [each.due, *each.others]):
             bundle = render_bundle(bodies, scene.simulated, stream(seed, 2, number), sequence=number + 1)
