@@ -199,17 +199,21 @@ class SimulatedGate:
         if not self._is_powered:
             self._count(missed=1)
             return
-        self._pulse_cameras(at_ns)
+        is_made = self._pulse_cameras(at_ns)
         with self._lock:
             self._count(test_pulses=1)
             self._say(TestPulse(self._next_sequence(), self._microseconds(at_ns)))
+            if not is_made:
+                self._say(self._pulses)
 
     def _close_beam(self, edge_ns: int, width_ns: int) -> None:
-        self._pulse_cameras(edge_ns)
+        is_made = self._pulse_cameras(edge_ns)
         with self._lock:
             self._count(edges=1)
             sequence = self._next_sequence()
             self._say(Edge(sequence, self._microseconds(edge_ns)))
+            if not is_made:
+                self._say(self._pulses)
             width_us = self._microseconds(edge_ns + width_ns) - self._microseconds(edge_ns)
             self._plan(edge_ns + width_ns, partial(self._say, Width(sequence, width_us)))
 
@@ -218,20 +222,20 @@ class SimulatedGate:
             self._ignored = (self._ignored + 1) % SEQUENCES
             self._count(merged=1)
 
-    def _pulse_cameras(self, at_ns: int) -> None:
-        """Pulse the cameras' trigger line once the delay after `at_ns` is over."""
+    def _pulse_cameras(self, at_ns: int) -> bool:
+        """Pulse the cameras' trigger line once the delay after `at_ns` is over; False when no place is free for it."""
         with self._lock:
             due_ns = at_ns + self._pulses.delay_us * 1000
             if due_ns > at_ns and self._n_waiting >= self._pulses.places:
                 self._count(unmade=1)
                 self._pulses = replace(self._pulses, unmade=(self._pulses.unmade + 1) % SEQUENCES)
-                self._say(self._pulses)
-                return
+                return False
             self._n_waiting += 1
             if due_ns > at_ns:
                 self._plan(due_ns, partial(self._make_pulse, due_ns))
-                return
+                return True
         self._make_pulse(at_ns)
+        return True
 
     def _make_pulse(self, at_ns: int) -> None:
         with self._lock:
