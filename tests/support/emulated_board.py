@@ -138,42 +138,69 @@ class Board:
 
 
 class BoardOnPort:
-    """A board on a pseudo-terminal, for the driver: emulated time follows the host's."""
+    """A board on a pseudo-terminal, for the driver: emulated time follows the host's.
 
-    def __init__(self, board: Board, link: Path) -> None:
+    `pulse` is the cameras' trigger line: called with the host's time (monotonic ns) of each pulse.
+    """
+
+    def __init__(self, board: Board, link: Path, *, pulse: Callable[[int], None] = lambda _: None) -> None:
         self._board = board
         self._port = PseudoTerminal(link)
+        self._pulse = pulse
         self._plans: list[Callable[[int], None]] = []
         self._guard = threading.Lock()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="board on a port")
+        self._start_ns = 0
+        self.is_opened = False
+        """Whether a host has the port open."""
 
-    def __enter__(self) -> Self:
+    def open(self) -> None:
         self._port.plug()
+        self._start_ns = time.monotonic_ns() - self._board.now * 1000 // US
         self._thread.start()
-        return self
 
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
         self._stopping.set()
         self._thread.join()
         self._port.unplug()
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def soon(self, plan: Callable[[int], None]) -> None:
         """Let `plan` give the board its orders, from the cycle that it is called with on."""
         with self._guard:
             self._plans.append(plan)
 
+    def interrupt(self, edge_ns: int, width_ns: int) -> None:
+        """Let a stone close the beam at `edge_ns` of the host, which is now, as a belt does."""
+        at = self._cycle(edge_ns)
+        self.soon(lambda _: self._board.stone(at, width_ns * US // 1000))
+
+    def _cycle(self, host_ns: int) -> int:
+        return (host_ns - self._start_ns) * US // 1000
+
     def _run(self) -> None:
-        board, n_passed, start_s = self._board, 0, time.monotonic()
+        board, n_sent, n_pulses = self._board, 0, 0
         while not self._stopping.wait(LOOK_S):
             with self._guard:
                 plans, self._plans = self._plans, []
             for plan in plans:
                 plan(board.now)
             board.hear(self._port.read(), board.now)
-            board.run(round((time.monotonic() - start_s) * HZ))
-            self._port.write(b"".join(data for _, data in board.received[n_passed:]))
-            n_passed = len(board.received)
+            board.run(self._cycle(time.monotonic_ns()))
+            self._port.write(b"".join(data for _, data in board.received[n_sent:]))
+            n_sent = len(board.received)
+            pulses = board.rises("trigger")
+            for cycle in pulses[n_pulses:]:
+                self._pulse(self._start_ns + cycle * 1000 // US)
+            n_pulses = len(pulses)
+            self.is_opened = self._port.is_opened
 
 
 @contextmanager

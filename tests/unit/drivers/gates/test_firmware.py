@@ -7,10 +7,14 @@ from pathlib import Path
 from typing import TypeVar
 
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 from support.emulated_board import HZ, MS, US, Board, BoardOnPort, Build, running
-from support.eventually import eventually
+from support.eventually import PATIENCE_S, eventually
+from support.extents import examples
 from support.sinks import Collector
 
+from drivers.gates import serial_gate
 from drivers.gates.gate_protocol import FIRMWARE_NAME, FIRMWARE_VERSION, checksum, set_pulses
 from drivers.gates.gate_records import CameraPulses, Edge, Identity, Record, Status, TestPulse, Width
 from drivers.gates.serial_gate import SerialGate, SerialGateSettings
@@ -136,6 +140,36 @@ def test_a_burst_of_twenty_has_twenty_lines_and_as_many_pulses_as_places(board: 
     )
     assert len(board.rises("trigger")) == 16
     assert of(CameraPulses, board)[-1] == CameraPulses(delay_us=FALL_US, pulse_us=100, places=16, unmade=4)
+
+
+@examples(0.3)
+@given(
+    gaps_us=st.lists(st.integers(1_100, 60_000), min_size=1, max_size=60),
+    delay_us=st.sampled_from([0, LEAST_US, 5_000, FALL_US]),
+    pulse_us=st.integers(LEAST_US, 900),
+)
+def test_every_stone_has_a_number_and_a_pulse_at_its_time_or_found_no_place(
+    build: Build, gaps_us: list[int], delay_us: int, pulse_us: int
+) -> None:
+    with running(build) as board:
+        delayed(board, delay_us, pulse_us)
+        at = START + 100 * MS
+        for gap_us in gaps_us:
+            board.stone(at, width=50 * US)
+            at += gap_us * US
+        board.run(at + FALL_US * US + 1100 * MS)
+        due: list[int] = []
+        for closing in board.rises("beam"):
+            assume(all(abs(each - closing) > LEAST_US * US for each in due))  # freed just now, or not yet
+            if sum(each > closing for each in due) < 16:
+                due.append(closing + (delay_us or LEAST_US) * US)
+        assert_exact([rise - each for rise, each in zip(board.rises("trigger"), due, strict=True)], 0)
+        assert {abs(width - pulse_us * US) <= 6 for width in board.widths("trigger")} == {True}
+        told = [edge.sequence for edge in of(Edge, board)]
+        assert told == sorted(set(told))
+        assert of(Status, board)[-1].last_sequence == len(gaps_us)
+        unmade = [each.unmade for each in of(CameraPulses, board)]
+        assert unmade[-1:] == [len(gaps_us) - len(due)] or (unmade == [] and len(due) == len(gaps_us))
 
 
 def test_waiting_pulses_keep_their_time_when_the_delay_changes(board: Board) -> None:
@@ -422,12 +456,15 @@ def test_more_edges_than_the_line_carries_are_lost_from_lines_and_never_from_the
 
 
 def test_the_driver_hears_stones_bounces_and_test_pulses_and_sets_the_delay(
-    board: Board, tmp_path: Path
+    board: Board, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    for wait in ("ASK_AGAIN_S", "TEST_PULSE_S"):  # a busy machine emulates late
+        monkeypatch.setattr(serial_gate, wait, 20.0)
+    board.run(START)
     settings = SerialGateSettings(
-        port=str(tmp_path / "gate"), debounce_us=1, silence_s=100, answer_timeout_s=100
+        port=str(tmp_path / "gate"), debounce_us=1, silence_s=PATIENCE_S, answer_timeout_s=PATIENCE_S
     )
-    gate, sink = SerialGate(settings), Collector()
+    gate, sink = SerialGate(settings, delay_us=FALL_US), Collector()
 
     def stones(now: int) -> None:
         for n in range(20):
@@ -440,9 +477,10 @@ def test_the_driver_hears_stones_bounces_and_test_pulses_and_sets_the_delay(
             gate.open()
             assert gate.identity is not None
             assert gate.identity.name == FIRMWARE_NAME
+            assert gate.pulses == CameraPulses(delay_us=FALL_US, pulse_us=100, places=16, unmade=0)
             gate.arm(sink)
             port.soon(stones)
-            eventually(lambda: gate.counters.ignored == 1)
+            eventually(lambda: gate.counters.ignored == 1 and len(board.rises("trigger")) == 16)
             gate.test_pulse()
             triggers = [event for event in sink.events if isinstance(event, Trigger)]
             assert [trigger.sequence for trigger in triggers] == list(range(1, 23))
@@ -453,6 +491,10 @@ def test_the_driver_hears_stones_bounces_and_test_pulses_and_sets_the_delay(
             assert [round(end.width_ns / 1e5) for end in ends] == [30] * 20 + [45]
             assert [event.count for event in sink.events if isinstance(event, TriggersIgnored)] == [1]
             assert gate.counters.garbage == gate.counters.missed == gate.counters.restarts == 0
+            assert gate.pulses.unmade == 20 + 1 - 16
+            assert_exact(
+                [b - a for a, b in zip(board.rises("beam"), board.rises("trigger"), strict=False)], FALL_US
+            )
             gate.close()  # a host that starts again finds the numbers where they were
             gate.open()
             gate.arm(again := Collector())
