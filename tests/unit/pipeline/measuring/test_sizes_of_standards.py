@@ -14,7 +14,7 @@ TRUE_MM = {
     "cylinder": (15.0, 15 * np.sqrt(2), 15.0),
     "cube": (15.0, 15 * np.sqrt(3), 15.0),
 }
-BAR_MM = 0.022  # of a single pose; means over poses are within 0.02
+BAR_MM = 0.036  # of a single pose, which the highest of what chance puts on faces decides
 
 
 @pytest.mark.parametrize(
