@@ -1,7 +1,6 @@
 """The daemon comes and goes while the rig runs: killed, stopped, and started before all cameras are there."""
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support.daemon_process import DaemonProcess
@@ -58,12 +57,12 @@ def test_after_a_kill_the_next_daemon_is_armed_and_misses_nothing(
             assert after.is_balanced
             n_crash = after.by_reason.get("crash", 0)
             assert n_crash == after.lost - before.lost == before.in_progress - len(spooled)
-            # the recording shows the empty rig itself, which this daemon has not seen yet
-            eventually(
-                lambda: whole_views(live.results(0)[-3:]) == [16] * 3,
-                f"measured again: {live.results(0)[-3:]}",
-            )
             rig.belt.stop()
+            daemon.wait_for(
+                "/accounting?session=current",
+                lambda now: now["by_reason"].get("down", 0) >= 1 and now["in_progress"] == 0,
+            )
+            live.measure_until_whole()  # the recording shows the empty rig itself, which this daemon has not seen yet
             daemon.wait_for("/acquisition", lambda now: (now["last_stone_age_s"] or 0) > 2 * SPACING_S)
             daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0)
             counts = daemon.get("/accounting?session=current")
@@ -106,10 +105,6 @@ def test_millions_that_the_gate_counted_alone_are_one_entry_and_delay_nothing(
             assert daemon.stop() == 0
         every = accounting_in(tmp_path, 1).triggers + accounting_in(tmp_path, 2).triggers
         assert every == 2 * many + rig.gate.counters.edges
-
-
-def whole_views(results: list[dict[str, Any]]) -> list[int]:
-    return [len(result["views"]) for result in results if result["outcome"] == "measured"]
 
 
 @pytest.mark.full
