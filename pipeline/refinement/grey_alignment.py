@@ -15,6 +15,7 @@ from pipeline.compiled import compiled
 from pipeline.refinement.membrane import stretched
 from pipeline.refinement.node_field import beyond_chance, facing, flat_gate, mean_curvatures, touch_weights
 from pipeline.refinement.nodes import Nodes, interpolated, smoothed, spread_nodes, vertex_normals
+from pipeline.refinement.passes import UNLIKE_SHARE
 from pipeline.refinement.sightings import COARSE, PhotoViews, cosines_of, depth_maps, project_into, sightings
 
 SPACING_MM = 0.23
@@ -46,8 +47,6 @@ WHOLE = 0.8
 
 At 0 all surfaces are found 0.007 mm too deep.
 """
-UNLIKE_SHARE = 0.02
-"""Share of its grey level by which two views show the same place differently, by their shading and interpolation."""
 LEAST_VARIANCE = 0.02
 """Least variance of a difference, relative to that of the surroundings: no point is certain."""
 FULL_EVIDENCE = 2700.0

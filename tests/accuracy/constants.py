@@ -30,7 +30,7 @@ from support.rocks import CASES, photographed, scene_before
 
 from pipeline.evaluation.surface_distances import Surface, even_samples
 from pipeline.particle import BodyParameters, PipelineParameters, measure_bundle
-from pipeline.refinement import node_field, passes, patch_scores, refine, search
+from pipeline.refinement import grey_alignment, node_field, passes, patch_scores, refine, search
 from pipeline.segmentation import segment_all
 from pipeline.segmentation.subtraction import SegmentationParameters
 from pipeline.synthesis.bundles import stream
@@ -43,7 +43,11 @@ PASSES = dict(
 )
 ALONE = ("OUTWARD_MM", "DEEPEST_SHARE", "STIFFNESS", "SPIKE_SLOPE", "FULL_SIZE_MM", "UNLIKE", "ALIKE_SHARE",
          "UNLIKE_SHARE", "PEAKED", "EVIDENCE", "DOUBTFUL", "OLDER", "SURE", "PIN", "TOUCH_MM")  # fmt: skip
-MODULES = (node_field, passes, patch_scores, refine, search)
+IN_ALIGNMENT = ("SPACING_MM", "SPREAD", "MOST_MM", "BLUR_PX", "MOST_BELOW_MM", "FULL_EVIDENCE")
+VALUES: Mapping[str, float] = {name: getattr(passes, name) for name in ALONE} | {
+    name: getattr(grey_alignment, name) for name in IN_ALIGNMENT
+}
+MODULES = (grey_alignment, node_field, passes, patch_scores, refine, search)
 N_SAMPLES = 4_000
 
 
@@ -69,8 +73,8 @@ def changes(only: str) -> Iterator[Change]:
     """Yield all changes whose name has `only` in it, the one that leaves all as it is first."""
     yield Change("", "", 1.0)
     constants = [(of, field.name) for of in PASSES for field in fields(passes.Pass) if field.name != "scale"]
-    for of, name in [*constants, *(("", name) for name in ALONE)]:
-        value = getattr(PASSES[of] if of else passes, name)
+    for of, name in [*constants, *(("", name) for name in VALUES)]:
+        value = getattr(PASSES[of], name) if of else VALUES[name]
         if only in f"{of} {name}" and 0 < value < np.inf:
             yield from (Change(of, name, factor) for factor in (0.5, 2.0))
 
@@ -82,17 +86,14 @@ def apply(change: Change) -> None:
         each = PASSES[change.of]
         changed[change.of] = replace(each, **{change.name: change.factor * getattr(each, change.name)})
     values: dict[str, Any] = {
-        name: VALUES[name] * (change.factor if (change.of, change.name) == ("", name) else 1.0)
-        for name in ALONE
+        name: value * (change.factor if (change.of, change.name) == ("", name) else 1.0)
+        for name, value in VALUES.items()
     }
     values["PASSES"] = (changed["COARSE"], changed["MIDDLE"], changed["FINE"])
     values["SEARCHED_AGAIN"] = changed["AGAIN"]
     for module in MODULES:
         for name in values.keys() & vars(module).keys():
             setattr(module, name, values[name])
-
-
-VALUES: Mapping[str, float] = {name: getattr(passes, name) for name in ALONE}
 
 
 def errors_of(case: tuple[str, int], all_changes: list[Change]) -> list[Errors]:
@@ -166,7 +167,7 @@ def main() -> None:
     )
     table.title = f"as it is: mean {as_is[0]:.4f} mm, far {as_is[1]:.2f} %, volume {as_is[2]:.2f} %"
     for half, twice in zip(all_changes[1::2], all_changes[2::2], strict=True):
-        value = getattr(PASSES[half.of] if half.of else passes, half.name)
+        value = getattr(PASSES[half.of], half.name) if half.of else VALUES[half.name]
         differences = (
             " ".join(
                 f"{new - old:+.{digits}f}"
