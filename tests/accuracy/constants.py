@@ -37,7 +37,7 @@ from pipeline.synthesis.bundles import stream
 from service.processing.models.networks import read_model
 from service.processing.segmenters import SegmenterPlan, build_segmenter
 
-OBJECTS = "granite, wet;basalt 18;conglomerate;half black, half pale;cube"
+OBJECTS = "granite wet;basalt 18;conglomerate;halves;cube"
 PASSES = dict(
     zip(("COARSE", "MIDDLE", "FINE", "AGAIN"), (*passes.PASSES, passes.SEARCHED_AGAIN), strict=True)
 )

@@ -1,8 +1,10 @@
 """Real rock before spotted and bare walls: no tunnels, no lost dents, and black stones as large as they are."""
 
 import pytest
+from accuracy.constants import OBJECTS
 from accuracy.rock import rows_of
 from support.rock_tables import Row
+from support.rocks import CASES
 
 from pipeline.refinement import search
 
@@ -12,6 +14,10 @@ pytestmark = pytest.mark.full
 def row(name: str, seed: int) -> Row:
     (measured,) = rows_of(seed, name, ("true",), "auto", None)
     return measured
+
+
+def test_constants_are_tried_on_objects_that_there_are() -> None:
+    assert set(OBJECTS.split(";")) <= CASES.keys()
 
 
 def test_a_sphere_before_a_spot_as_grey_as_its_grains_has_no_tunnel() -> None:
