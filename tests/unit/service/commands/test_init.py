@@ -250,3 +250,5 @@ def test_what_makes_the_delay_can_be_said(tmp_path: Path) -> None:
     rig = load_settings(tmp_path / "stonefall.toml").rig
     assert isinstance(rig, AravisRigSettings)
     assert (rig.delay, rig.gate_delay_us, rig.camera_delay_ms) == (DelayMaker.GATE, 247_352, 0.0)
+    assert rig.gate.serial is not None
+    assert rig.gate.serial.debounce_us == 1000  # a pulse of an edge that is merged here would be nobody's
