@@ -18,9 +18,12 @@ N_LONGEST = 10
 LIMIT_S = 10.0
 """Longest call, or set-up, of a quick test that has a processor to itself."""
 LONGER = {
-    "tests/live/test_live_equals_replay.py::test_outcomes_and_measured_numbers_are_equal": (
-        "its set-up plays a whole recording to two daemons, once through sixteen cameras"
-    ),
+    **{
+        f"tests/live/test_live_equals_replay.py::test_outcomes_and_measured_numbers_are_equal[{rig}]": (
+            "its set-up plays a whole recording to a daemon through sixteen cameras"
+        )
+        for rig in ("cameras wait", "in the air")
+    },
     "tests/screens/test_setup_page.py::test_a_calibration_from_the_first_ball_to_its_use": (
         "ten balls fall one by one before sixteen cameras"
     ),
