@@ -220,9 +220,12 @@ class SerialGate:
         ):
             return  # a gate that says nothing makes no delay
         make = self._protocol.set_pulses
-        count = lambda: self._listener.n_pulses  # noqa: E731 - read again and again by `_answers`
-        command = b"" if make is None else make(self._delay_us, self._settings.pulse_us)
-        if make is None or not any(self._answers(command, count, ASK_AGAIN_S) for _ in range(SET_TRIES)):
+        if make is None or not any(
+            self._answers(
+                make(self._delay_us, self._settings.pulse_us), lambda: self._listener.n_pulses, ASK_AGAIN_S
+            )
+            for _ in range(SET_TRIES)
+        ):
             raise self._thread.error(told(DeviceFault.GATE_CANNOT_DELAY, delay_us=self._delay_us))
         if problem := self._pulses_differ(DeviceFault.GATE_DELAY_REFUSED):
             raise self._thread.error(problem)

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from math import ceil
 
 LINK_BYTES_S = 125e6
-"""Of a camera: 1 Gb/s."""
+"""Speed of a camera's link: 1 Gb/s."""
 UPLINK_BYTES_S = 2.5e9
-"""Of this machine where nothing else is said: 2 x 10 Gb/s."""
+"""Speed of this machine's ports where the configuration says nothing: 2 x 10 Gb/s."""
 BUFFER_BYTES = 512 << 10
-"""Of a small switch, for packets that wait for the uplink; its data sheet says it."""
+"""Memory of a small switch for packets that wait for the uplink; its data sheet says it."""
 PACKET_BYTES = 8192
 ETHERNET_BYTES = 38
 """Preamble, header, checksum and gap of a packet on the wire (IEEE 802.3)."""
@@ -26,17 +26,20 @@ HEADER_BYTES = 48
 N_AROUND = 2
 """Leader and trailer of a frame, each a packet of its own."""
 UPLINK_SHARE = 0.9
-"""Of the uplink that images may take; the rest is for packets that are sent again, and for control."""
+"""Share of the uplink that images may take; the rest is for packets that are sent again, and for control."""
 DELAY_STEP_NS = 100
+"""Step to which a packet delay is rounded up."""
 LARGEST_PACKET_BYTES = 9000
-"""Of packets whose size is negotiated; the smallest ones are of 1500."""
+"""Largest size of packets that are negotiated; the smallest is 1500."""
 BURST_MS = 25.0
-"""Between two stones that may follow each other: the first has left the picture."""
+"""Shortest time between two stones of which the first has left the picture."""
 MOST_LOAD = 0.5
-"""At which a bundle of stones that fall at random waits for half a bundle's time on average (M/D/1 queue); beyond it
-waiting grows steeply, in cameras that hold few frames, and past the time for which a bundle is waited for."""
+"""Greatest load of the uplink: a bundle of stones that fall at random waits for half a bundle's time on average.
+
+Beyond it waiting grows steeply (M/D/1 queue), in cameras that hold few frames, and past the window of a bundle.
+"""
 RATES_HZ = (4, 10, 13)
-"""Stones a second: with the delay in the cameras, the goal, and the most clean ones of random feeding."""
+"""Stones a second of the table: with the delay in the cameras, the goal, the most clean ones of random feeding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

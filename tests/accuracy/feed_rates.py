@@ -177,7 +177,7 @@ def _is_near(other: Falling, due: Falling) -> bool:
 
 
 def outcome(exposed: Exposed, fall: Fall) -> tuple[str, str, int]:
-    """Return what becomes of a stone, what would with no other one announced, and views in use that show it merged."""
+    """Return the fate of a stone, that with no other announced, and the number of used views that show it merged."""
     rig, share = RIG, SegmentationParameters().second_body_share
     due, others = _points(exposed.due), [_points(other) for other in exposed.others]
     alone = views_of(rig, [due])

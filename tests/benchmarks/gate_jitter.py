@@ -31,7 +31,7 @@ IDENTIFY_EVERY = 10 * MS
 
 
 def errors(board: Board, *, stones: int, delay_us: int, is_busy: bool) -> Counter[int]:
-    """Return how many pulses came how many cycles after they were due."""
+    """Return the number of pulses by the cycles that they came after they were due."""
     dice = random.Random(1)  # noqa: S311 - nothing secret
     board.hear(set_pulses(delay_us, 100), START // 2)
     due, at = [], START

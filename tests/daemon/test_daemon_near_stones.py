@@ -1,4 +1,4 @@
-"""Of several stones in one picture the daemon and the offline command measure the one that is due."""
+"""Daemon and offline command measure the stone that is due, of several in one picture."""
 
 import json
 from pathlib import Path

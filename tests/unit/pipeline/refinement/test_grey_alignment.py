@@ -49,7 +49,7 @@ def views() -> PhotoViews:
 
 
 def heights_mm(points_mm: PointsMM) -> Values:
-    """Return how far points lie outside of the sphere."""
+    """Return the distances (N,) of points from the sphere, mm, positive outside."""
     return np.asarray(np.linalg.norm(points_mm, axis=1) - RADIUS_MM)
 
 
