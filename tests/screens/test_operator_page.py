@@ -137,6 +137,7 @@ def test_the_verdict_is_one_sentence_and_that_of_the_last_lot_stays(
     replay.post("/lots/L-1206b/close?wait_s=20", {})
 
 
+@pytest.mark.full
 def test_lot_curve_and_verdict_change(operator: Watched, lot: str) -> None:
     page = operator.page
     expect(page.locator("#lot-name")).to_have_text(lot)

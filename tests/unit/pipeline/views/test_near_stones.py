@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from support.extents import examples
 from support.parts import MIN_PX, ball_points, views_of
 
 from pipeline.fall import Fall, pulse_width_ns
@@ -86,7 +87,7 @@ def test_a_stone_that_is_not_where_it_should_be_spoils_only_views_that_it_could_
     assert len(near.covered) == 16
 
 
-@settings(max_examples=60, deadline=None)
+@examples(0.6)
 @given(OFFSETS_MM, OFFSETS_MM, SIZES_MM, SIZES_MM, st.floats(-50, 50), st.floats(-3, 3))
 def test_the_due_stone_is_never_painted_over_and_never_seen_with_another(
     due_mm: np.ndarray,
