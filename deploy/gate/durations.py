@@ -24,14 +24,8 @@ LONGER = {
         )
         for rig in ("cameras wait", "in the air")
     },
-    "tests/screens/test_setup_page.py::test_a_calibration_from_the_first_ball_to_its_use": (
-        "ten balls fall one by one before sixteen cameras"
-    ),
     "tests/daemon/test_daemon_crash.py::test_after_a_kill_the_next_daemon_measures_what_lay_in_the_spool_once": (
         "three daemons after one another"
-    ),
-    "tests/soak/test_attack.py::test_nothing_that_a_stranger_sends_stops_it[1]": (
-        "four kinds of attack, one after another, on a daemon that measures"
     ),
 }
 """Quick tests that may take longer, with the reason."""

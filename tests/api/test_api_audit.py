@@ -269,6 +269,7 @@ async def test_what_changes_nothing_and_what_is_refused_leaves_no_entry(
     ]
 
 
+@pytest.mark.full
 async def test_the_export_is_whole_in_order_and_can_be_checked(
     client: httpx.AsyncClient, store: Store
 ) -> None:

@@ -261,6 +261,7 @@ async def test_when_all_are_being_answered_the_newest_is_refused(
     assert (await client.reader.readline()).startswith(b"HTTP/1.1 200")
 
 
+@pytest.mark.full
 async def test_one_address_does_not_keep_the_others_out(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -82,6 +82,7 @@ async def days(client: httpx.AsyncClient, store: Store, monkeypatch: pytest.Monk
     return Days(client, store)
 
 
+@pytest.mark.full
 async def test_lots_are_the_points_of_a_chart(client: httpx.AsyncClient, days: Days) -> None:
     assert [(name, each["points"]) for name, each in (await days.charts()).items()] == [
         (each, []) for each in FIGURES
@@ -113,6 +114,7 @@ async def test_lots_are_the_points_of_a_chart(client: httpx.AsyncClient, days: D
     assert flakiness["capability"]["ppk_low"] < flakiness["capability"]["ppk"]
 
 
+@pytest.mark.full
 async def test_limits_of_a_lot_are_as_wide_as_its_stones_are_few(days: Days) -> None:
     for n_stones in (2000, 200) * 5:
         await days.complete(n_stones=n_stones)
@@ -124,6 +126,7 @@ async def test_limits_of_a_lot_are_as_wide_as_its_stones_are_few(days: Days) -> 
     assert stones[0] > 5 * stones[1]
 
 
+@pytest.mark.full
 async def test_a_drift_is_an_event_once_and_an_alarm_until_it_is_gone(
     client: httpx.AsyncClient, store: Store, control: FakeControl, alarms: Alarms, days: Days
 ) -> None:

@@ -411,6 +411,7 @@ async def test_a_study_with_obstacles_is_no_figure(
 
 
 @pytest.mark.usefixtures("product")
+@pytest.mark.full
 async def test_the_newest_accepted_study_is_in_use_until_it_is_withdrawn(
     client: httpx.AsyncClient, store: Store, session: int
 ) -> None:
@@ -461,6 +462,7 @@ async def test_studies_of_earlier_versions_stay_in_use(client: httpx.AsyncClient
 
 
 @pytest.mark.usefixtures("product")
+@pytest.mark.full
 async def test_the_laboratorys_curve_and_the_correlated_one_stand_beside_the_raw_one(
     client: httpx.AsyncClient, store: Store, session: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -161,6 +161,7 @@ async def test_it_says_whether_images_are_synthetic_or_played(store: Store) -> N
         assert (rows.is_simulated, rows.is_replay) == ("is_simulated" in info, "is_replay" in info)
 
 
+@pytest.mark.full
 async def test_figures_are_those_of_the_open_lot_else_of_the_last_hour(
     client: httpx.AsyncClient, store: Store, session: int
 ) -> None:
@@ -251,6 +252,7 @@ async def test_one_that_does_not_change_comes_again(served: Served, monkeypatch:
     assert {**first, "at": None} == {**third, "at": None}
 
 
+@pytest.mark.full
 async def test_all_who_look_share_one_and_nobody_else_has_it_made(
     served: Served, store: Store, session: int, control: FakeControl, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -61,6 +61,7 @@ async def test_a_doubled_slash_after_the_prefix_is_one(proxied: httpx.AsyncClien
         assert (await proxied.get(f"http://{HOST}{path}", headers=OVER_TLS)).status_code == 200
 
 
+@pytest.mark.full
 async def test_the_document_names_the_prefix_as_its_server(proxied: httpx.AsyncClient) -> None:
     document = (await proxied.get("/openapi.json", headers=OVER_TLS)).json()
     assert [server["url"] for server in document["servers"]] == [PREFIX]

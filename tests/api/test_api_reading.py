@@ -94,6 +94,7 @@ async def test_streams_far_behind_share_full_pages_although_stones_fall(
     assert (await page_after(context, RESULTS, 0, 1)).cursor.last_seq == MAX_SMALL + 4
 
 
+@pytest.mark.full
 async def test_the_process_answers_what_a_thread_answers(
     store: Store, control: FakeControl, session: int, tmp_path: Path, reading: ReaderProcess
 ) -> None:
@@ -176,6 +177,7 @@ async def test_when_too_many_wait_the_next_is_told_to_come_again(
     assert (await asked(store, control, reading, "/particles/1/preview.png")).status_code == 404
 
 
+@pytest.mark.full
 async def test_figures_do_not_wait_for_pictures(
     store: Store, control: FakeControl, session: int, tmp_path: Path
 ) -> None:

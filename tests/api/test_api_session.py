@@ -346,6 +346,7 @@ async def test_a_proxy_passes_on_the_name_or_it_is_configured(
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 @given(data=st.data())
+@pytest.mark.full
 def test_no_other_cookie_is_a_session(
     store: Store, monkeypatch: pytest.MonkeyPatch, data: st.DataObject
 ) -> None:

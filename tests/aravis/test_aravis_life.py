@@ -127,6 +127,7 @@ def test_another_device_in_the_place_is_told_by_its_serial_number(
         camera.open()
 
 
+@pytest.mark.full
 def test_a_new_address_is_found_by_the_serial_number(
     camera: AravisCamera, simulated: SimulatedCamera
 ) -> None:
@@ -137,6 +138,7 @@ def test_a_new_address_is_found_by_the_serial_number(
     assert works(camera, simulated)
 
 
+@pytest.mark.full
 def test_a_killed_camera_does_not_hold_up_anybody_else(
     camera: AravisCamera, simulated: SimulatedCamera
 ) -> None:

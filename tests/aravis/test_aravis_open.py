@@ -164,6 +164,7 @@ def test_whatever_aravis_says_is_said_of_the_camera(
     assert simulated.controller is None
 
 
+@pytest.mark.full
 def test_one_that_falls_silent_amid_the_questions_is_as_silent_as_before_them(
     simulated: SimulatedCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:

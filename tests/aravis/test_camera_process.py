@@ -115,6 +115,7 @@ def test_one_that_hangs_is_killed(
     camera.open()
 
 
+@pytest.mark.full
 def test_one_that_hangs_is_replaced_although_nothing_is_called_for(
     rig: GigeRig, process: CameraProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -144,6 +144,7 @@ def test_a_recording_runs_through_and_sigterm_ends_it(
         assert "Traceback" not in daemon.log
 
 
+@pytest.mark.full
 def test_sigterm_in_the_middle_measures_what_was_seen(recording: Path, tmp_path: Path):
     with DaemonProcess(tmp_path, recording, rig="loop = true\nspeed = 2.0") as daemon:
         daemon.hear("READY=1")
@@ -180,6 +181,7 @@ def test_a_second_signal_gives_up_what_is_waiting(recording: Path, tmp_path: Pat
     assert accounting.lost == accounting.by_reason["shutdown"] + accounting.by_reason.get("queue_full", 0)
 
 
+@pytest.mark.full
 def test_a_killed_worker_costs_one_retry_and_no_stone(
     recording: Path, offline: list[dict[str, Any]], tmp_path: Path
 ):
@@ -213,6 +215,7 @@ def test_disarm_and_arm_again_while_running(recording: Path, tmp_path: Path):
         assert daemon.stop() == 0
 
 
+@pytest.mark.full
 def test_a_fatal_error_ends_the_process_with_its_traceback(recording: Path, tmp_path: Path):
     open_store(tmp_path / "state").close()
     with closing(sqlite3.connect(tmp_path / "state/results.sqlite")) as database:  # no fault of the disk

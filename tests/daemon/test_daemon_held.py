@@ -61,6 +61,7 @@ def is_armed(answer: dict[str, Any]) -> bool:
     ("refusing", "remedy"),
     first_quick([(locked, "end the program that has the database"), (unwritable, "make store.dir writable")]),
 )
+@pytest.mark.full
 def test_a_store_that_cannot_be_written_holds_and_goes_on_by_itself(
     recording: Path,
     tmp_path: Path,

@@ -6,6 +6,7 @@ import urllib.request
 from http import HTTPStatus
 from pathlib import Path
 
+import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from support.daemon_process import DaemonProcess, free_port
 from support.small_recording import write_small_recording
@@ -28,6 +29,7 @@ def fetch(daemon: DaemonProcess, path: str, token: str | None = None) -> tuple[i
             return err.code, err.read().decode()
 
 
+@pytest.mark.full
 def test_a_key_works_and_dies_while_the_daemon_runs_and_metrics_agree(tmp_path: Path) -> None:
     write_small_recording(tmp_path / "recording", n_stones=N_STONES)
     with DaemonProcess(tmp_path, tmp_path / "recording") as daemon:
@@ -63,6 +65,7 @@ def test_a_key_works_and_dies_while_the_daemon_runs_and_metrics_agree(tmp_path: 
     assert "Traceback" not in daemon.log
 
 
+@pytest.mark.full
 def test_a_screen_is_paired_beside_the_daemon_which_knows_who_asked_without_a_key(tmp_path: Path) -> None:
     write_small_recording(tmp_path / "recording", n_stones=1)
     with DaemonProcess(tmp_path, tmp_path / "recording", port=free_port()) as daemon:

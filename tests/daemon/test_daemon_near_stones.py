@@ -14,6 +14,7 @@ from service.commands.cli import build_app
 NAMES = ("alone", "above", "unannounced", "touching", "between")
 
 
+@pytest.mark.full
 def test_the_due_stone_is_measured_beside_those_that_the_gate_announced(tmp_path: Path) -> None:
     path = tmp_path / "recording"
     write_crowded_recording(path)

@@ -21,6 +21,7 @@ COMPARED = (
 N_STONES = 7
 
 
+@pytest.mark.full
 def test_a_recording_measures_as_the_daemon_did(tmp_path: Path) -> None:
     write_small_recording(tmp_path / "source", n_stones=N_STONES)
     with DaemonProcess(tmp_path, tmp_path / "source", rig='pace = "recorded"') as daemon:

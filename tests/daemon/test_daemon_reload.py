@@ -29,6 +29,7 @@ def reload(daemon: DaemonProcess, text: str) -> None:
     assert daemon.heard[start + 1].startswith("MONOTONIC_USEC=")
 
 
+@pytest.mark.full
 def test_good_bad_and_partly_appliable_configurations(daemon: DaemonProcess) -> None:
     endpoint = (
         '[webhooks]\nallowed_hosts = ["127.0.0.1"]\n[[webhooks.endpoints]]\nname = "mes"\n'

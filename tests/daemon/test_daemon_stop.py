@@ -69,6 +69,7 @@ class ListeningManager(ServiceManager):
 
 
 @pytest.mark.parametrize(("n_signals", "disarm_s"), [(1, 0.5), (2, 60.0)])
+@pytest.mark.full
 async def test_a_rig_that_hangs_while_arming_does_not_keep_the_daemon(
     n_signals: int,
     disarm_s: float,

@@ -63,6 +63,7 @@ def test_a_whole_rig_exposes_at_the_test_pulse(tmp_path: Path) -> None:
         assert found["port of 198.51.100.9"]["remedy"]
 
 
+@pytest.mark.full
 def test_cameras_of_seven_vendors_are_set_alike_and_what_was_left_on_is_told(tmp_path: Path) -> None:
     write_small_recording(tmp_path / "source", n_stones=1)
     config = tmp_path / "stonefall.toml"

@@ -61,6 +61,7 @@ def stones(results: list[dict]) -> list[dict]:
 
 
 @pytest.mark.parametrize("loss", first_quick([0.05, 0.01]))
+@pytest.mark.full
 def test_c1_lost_packets_are_resent_and_stones_keep_all_their_views(live: LiveRig, loss: float):
     before = {camera: live.status(camera)["resent_packets"] for camera in ("c01", "c16")}
     for camera in live.rig.cameras.values():
@@ -141,6 +142,7 @@ def test_c2_control_taken_by_another_application_is_taken_back(live: LiveRig):
     live.wait_until_whole(15)
 
 
+@pytest.mark.full
 def test_c3_without_any_camera_it_is_the_switch_and_stones_are_counted(live: LiveRig):
     for camera in live.rig.cameras.values():
         camera.unplug()
@@ -162,6 +164,7 @@ def test_c3_without_any_camera_it_is_the_switch_and_stones_are_counted(live: Liv
     live.wait_until_whole(30)
 
 
+@pytest.mark.full
 def test_c3_the_process_of_the_cameras_dies_and_only_stones_meanwhile_have_no_images(live: LiveRig):
     pid, before = live.daemon.camera_pid(), live.status("c01")["recoveries"]
     assert "libaravis" not in Path(f"/proc/{live.daemon.process.pid}/maps").read_text()
@@ -223,6 +226,7 @@ def test_c4_a_frame_that_comes_a_period_late_is_in_no_other_bundle(live: LiveRig
     )
 
 
+@pytest.mark.full
 def test_c5_a_camera_that_misses_a_trigger_is_right_again_with_the_next(live: LiveRig):
     live.measure(1)
     for _ in range(4):  # the belt exposes the empty rig at times, and the fault may hit that
@@ -278,6 +282,7 @@ def test_d1_a_bounce_is_merged_and_a_double_is_one_stone(live: LiveRig):
     assert live.acquisition()["triggers_ignored"] >= before["triggers_ignored"] + 4
 
 
+@pytest.mark.full
 def test_d2_a_stone_that_the_gate_does_not_announce_is_measured_all_the_same(live: LiveRig):
     before = live.acquisition()
     live.rig.gate.faults.uncounted = 1.0
@@ -339,6 +344,7 @@ def test_d7_slow_workers_fill_the_queue_and_nothing_is_silently_dropped(live: Li
     assert all_measured(live.wait_for_results(before, 6))
 
 
+@pytest.mark.full
 def test_d7_a_machine_that_stands_still_for_longer_than_frames_are_waited_for_loses_no_stone(live: LiveRig):
     before = live.last_seq()
     live.fall(1, spacing_s=0.1)  # announced, not yet exposed

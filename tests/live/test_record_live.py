@@ -14,6 +14,7 @@ from pipeline.frames import BundleKind
 N_STONES = 4
 
 
+@pytest.mark.full
 def test_a_live_rig_is_recorded(tmp_path: Path) -> None:
     write_small_recording(tmp_path / "source", n_stones=N_STONES)
     source = open_recording(tmp_path / "source")

@@ -27,6 +27,7 @@ def issued(replay: DaemonProcess) -> bytes:
     return fetched(replay, ISSUED)
 
 
+@pytest.mark.full
 def test_a_report_is_genuine_until_a_byte_is_changed(
     watched: Watched, replay: DaemonProcess, issued: bytes, tmp_path: Path
 ) -> None:
@@ -51,6 +52,7 @@ def test_a_report_is_genuine_until_a_byte_is_changed(
     expect(page.locator("#key")).to_have_text(re.compile(key))
 
 
+@pytest.mark.full
 def test_a_genuine_report_says_that_there_is_a_newer_one(
     watched: Watched, replay: DaemonProcess, issued: bytes, tmp_path: Path
 ) -> None:

@@ -49,6 +49,7 @@ def pasted(replay: DaemonProcess, lot: str, head: str = "Siebweite mm\tRückstan
     return head + "\n".join([*reversed(lines), f"Schale\t{pan}"])
 
 
+@pytest.mark.full
 def test_a_table_is_read_back_beside_the_instrument_before_it_is_stored(
     page: Page, watched: Watched, replay: DaemonProcess, lot: str
 ) -> None:
@@ -106,6 +107,7 @@ def test_a_study_that_cannot_be_made_says_why(
 
 
 @pytest.mark.parametrize(("size", "theme"), first_quick(product([*SIZES, "phone"], ("light", "dark"))))
+@pytest.mark.full
 def test_the_page_is_accessible_at_all_sizes(
     browser: Browser, replay: DaemonProcess, lot: str, size: str, theme: str
 ) -> None:
@@ -142,6 +144,7 @@ def workbook(lines: list[list[str]]) -> str:
     return base64.b64encode(out.getvalue()).decode()
 
 
+@pytest.mark.full
 def test_a_workbook_is_dropped_and_read_as_a_table(
     page: Page, watched: Watched, replay: DaemonProcess, lot: str
 ) -> None:

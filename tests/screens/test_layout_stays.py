@@ -59,6 +59,7 @@ def plant(replay: DaemonProcess) -> DaemonProcess:
 
 
 @pytest.mark.parametrize(("path", "size", "is_late"), first_quick(product(FULL, VIEWPORTS, (True, False))))
+@pytest.mark.full
 def test_nothing_moves_after_the_first_paint(
     browser: Browser, plant: DaemonProcess, path: str, size: str, is_late: bool
 ) -> None:

@@ -103,6 +103,7 @@ def test_a_shift_s_lots_are_worked_with_on_the_page_alone(page: Page, replay: Da
     assert replay.get("/lots/L-7")["void_reason"] == "wrong belt"
 
 
+@pytest.mark.full
 def test_a_product_is_changed_once_its_differences_were_seen(page: Page, replay: DaemonProcess) -> None:
     own = {"name": "own limits", "passing": {"8": [0, 20], "16": [90, 100]}}
     replay.put("/products/own", {**PRODUCT, "title": "own", "specification": own, "sieve_set": [4, 8, 16]})
@@ -126,6 +127,7 @@ def test_a_product_is_changed_once_its_differences_were_seen(page: Page, replay:
     )
 
 
+@pytest.mark.full
 def test_a_refusal_is_said_where_it_happened_and_the_form_keeps_its_words(
     page: Page, watched: Watched, replay: DaemonProcess
 ) -> None:
@@ -140,6 +142,7 @@ def test_a_refusal_is_said_where_it_happened_and_the_form_keeps_its_words(
     assert replay.get("/lots?state=open")["items"] == []
 
 
+@pytest.mark.full
 def test_a_code_scanned_beside_all_fields_opens_a_lot_of_the_product_before(
     page: Page, replay: DaemonProcess
 ) -> None:
@@ -162,6 +165,7 @@ def test_a_code_scanned_beside_all_fields_opens_a_lot_of_the_product_before(
 
 
 @pytest.mark.parametrize(("size", "theme"), first_quick(product([*SIZES, "phone"], ("light", "dark"))))
+@pytest.mark.full
 def test_the_page_is_accessible_at_all_sizes(
     browser: Browser, replay: DaemonProcess, size: str, theme: str
 ) -> None:

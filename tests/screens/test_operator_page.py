@@ -96,6 +96,7 @@ def test_it_is_painted_at_once_and_stones_come_onto_it(operator: Watched, replay
     assert min(delays_ms) > -50 and max(delays_ms) < MAX_DELAY_MS  # two clocks of one machine
 
 
+@pytest.mark.full
 def test_a_stone_has_its_picture_and_words_and_leads_to_its_passport(
     operator: Watched, replay: DaemonProcess
 ) -> None:
@@ -111,6 +112,7 @@ def test_a_stone_has_its_picture_and_words_and_leads_to_its_passport(
     expect(operator.page.locator("#title")).to_contain_text(name)
 
 
+@pytest.mark.full
 def test_the_verdict_is_one_sentence_and_that_of_the_last_lot_stays(
     operator: Watched, replay: DaemonProcess
 ) -> None:
@@ -150,6 +152,7 @@ def test_lot_curve_and_verdict_change(operator: Watched, lot: str) -> None:
     expect(page.locator("#tile-rate b")).to_have_text(re.compile(r"\d+"))
 
 
+@pytest.mark.full
 def test_every_figure_has_its_trend(operator: Watched, lot: str) -> None:
     titles = set()
     expect(operator.page.locator("#tile-passing_lower .name")).to_have_text("Passing 8 mm")
@@ -169,6 +172,7 @@ def test_every_figure_has_its_trend(operator: Watched, lot: str) -> None:
     expect(operator.page.locator("#trend")).to_have_attribute("data-asked", re.compile("hours=12&"))
 
 
+@pytest.mark.full
 def test_a_figure_of_the_product_has_its_control_chart(operator: Watched, lot: str) -> None:
     page = operator.page
     expect(page.locator("#lot-name")).to_have_text(lot)
@@ -182,6 +186,7 @@ def test_a_figure_of_the_product_has_its_control_chart(operator: Watched, lot: s
     expect(page.locator("#trend svg title")).to_have_text("Shape index SI, %")
 
 
+@pytest.mark.full
 def test_every_camera_has_a_tile_and_the_dim_one_stands_out(operator: Watched, replay: DaemonProcess) -> None:
     page = operator.page
     expect(page.locator("#camera-tiles li")).to_have_count(16)
@@ -198,6 +203,7 @@ def test_every_camera_has_a_tile_and_the_dim_one_stands_out(operator: Watched, r
     expect(dialog).to_have_count(0)
 
 
+@pytest.mark.full
 def test_an_alarm_says_what_to_do_and_is_acknowledged_and_shelved(
     operator: Watched, replay: DaemonProcess
 ) -> None:
@@ -223,6 +229,7 @@ def test_an_alarm_says_what_to_do_and_is_acknowledged_and_shelved(
     expect(alarm).to_have_count(1)
 
 
+@pytest.mark.full
 def test_what_was_changed_at_the_crusher_is_noted(operator: Watched, replay: DaemonProcess) -> None:
     page = operator.page
     page.get_by_role("button", name="Diary entry").click()
@@ -236,6 +243,7 @@ def test_what_was_changed_at_the_crusher_is_noted(operator: Watched, replay: Dae
 
 
 @pytest.mark.parametrize(("size", "language", "theme"), LOOKS)
+@pytest.mark.full
 def test_it_is_accessible_at_every_size(
     browser: Browser, replay: DaemonProcess, lot: str, size: str, language: str, theme: str
 ) -> None:
@@ -277,6 +285,7 @@ def test_everything_is_reached_by_keyboard(operator: Watched) -> None:
     assert {values.sub("", each) for each in wanted} <= {values.sub("", each) for each in reached}
 
 
+@pytest.mark.full
 def test_it_speaks_german_and_remembers_it(operator: Watched) -> None:
     page = operator.page
     page.get_by_role("button", name="Deutsch").click()
@@ -299,6 +308,7 @@ def test_a_german_page_has_no_english(operator: Watched, lot: str) -> None:
     assert page.title().endswith(" – stonefall") and " · " not in page.title()
 
 
+@pytest.mark.full
 def test_a_wrong_address_is_a_page(operator: Watched, replay: DaemonProcess) -> None:
     operator.is_expected = re.compile("404")
     operator.page.goto(f"{origin_of(replay.url(''))}/nowhere?language=de")
@@ -308,11 +318,13 @@ def test_a_wrong_address_is_a_page(operator: Watched, replay: DaemonProcess) -> 
     expect(operator.page.locator("#ne107")).not_to_be_empty()
 
 
+@pytest.mark.full
 def test_the_icon_of_the_tab_shows_the_state(operator: Watched, replay: DaemonProcess) -> None:
     icon = operator.page.locator("link[rel=icon]")
     expect(icon).to_have_attribute("href", re.compile(r"/icons/(?!stonefall)\w+[.]svg$"))
 
 
+@pytest.mark.full
 def test_the_theme_is_chosen_and_remembered(operator: Watched) -> None:
     page = operator.page
     light = page.evaluate("getComputedStyle(document.body).backgroundColor")
@@ -325,5 +337,6 @@ def test_the_theme_is_chosen_and_remembered(operator: Watched) -> None:
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == dark
 
 
+@pytest.mark.full
 def test_it_says_that_a_recording_is_played(operator: Watched) -> None:
     expect(operator.page.locator(".banner.origin")).to_have_text(re.compile("Simulated|Replay"))

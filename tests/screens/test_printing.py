@@ -32,6 +32,7 @@ def printed(page: Page, name: str) -> tuple[str, int, tuple[int, int]]:
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.full
 def test_the_operator_s_page_is_one_sheet_with_cameras_and_stones(
     browser: Browser, replay: DaemonProcess, theme: str
 ) -> None:
@@ -77,6 +78,7 @@ def test_a_shift_is_chosen_shown_and_printed_on_one_sheet(watched: Watched, repl
 
 
 @pytest.mark.parametrize(("size", "theme"), first_quick(product([*SIZES, "phone"], ("light", "dark"))))
+@pytest.mark.full
 def test_the_sheet_is_accessible_at_all_sizes(
     browser: Browser, replay: DaemonProcess, size: str, theme: str
 ) -> None:

@@ -56,6 +56,7 @@ def step(page: Page) -> Locator:
     return page.locator(".steps li[aria-current]")
 
 
+@pytest.mark.full
 def test_a_calibration_from_the_first_ball_to_its_use(page: Page, live: LiveRig) -> None:
     enter(page, live, "calibration")
     before = live.daemon.get("/calibrations")["active"]["id"]
@@ -117,6 +118,7 @@ def test_a_calibration_that_is_refused_says_why_and_is_cancelled(page: Page, liv
     assert newest["state"] in ("rejected", "cancelled")
 
 
+@pytest.mark.full
 def test_a_verification_to_its_verdict(page: Page, live: LiveRig) -> None:
     enter(page, live, "verification")
     assert violations(page) == []
@@ -244,6 +246,7 @@ def is_disarmed(acquisition: dict[str, Any]) -> bool:
     return acquisition["state"] == "disarmed"
 
 
+@pytest.mark.full
 def test_new_pictures_of_all_cameras(page: Page, live: LiveRig) -> None:
     live.daemon.put("/acquisition", {"state": "disarmed"})
     live.daemon.wait_for("/acquisition", is_disarmed)

@@ -73,6 +73,7 @@ def test_a_key_becomes_a_session_and_the_page_comes_to_life(
     expect(page.locator(".banner.sign-in")).to_be_visible()
 
 
+@pytest.mark.full
 def test_a_sign_in_leads_to_no_other_host(watched: Watched, locked: tuple[DaemonProcess, str]) -> None:
     daemon, token = locked
     watched.is_expected = re.compile("status of 40[14]")  # there is no such page
@@ -93,6 +94,7 @@ def test_a_sign_in_leads_to_no_other_host(watched: Watched, locked: tuple[Daemon
         product(("light", "dark"), ("", "/sign-in#pair", "/lots?language=de", "/sign-in?language=de#pair"))
     ),
 )
+@pytest.mark.full
 def test_a_signed_out_page_can_be_read_and_fits_a_phone(
     browser: Browser, locked: tuple[DaemonProcess, str], theme: Literal["light", "dark"], path: str
 ) -> None:
@@ -115,6 +117,7 @@ def test_a_signed_out_page_can_be_read_and_fits_a_phone(
         watched.assert_clean()
 
 
+@pytest.mark.full
 def test_a_wall_screen_is_paired_by_its_code_and_only_reads_until_its_key_is_revoked(
     browser: Browser, watched: Watched, locked: tuple[DaemonProcess, str]
 ) -> None:

@@ -80,6 +80,7 @@ def show(page: Page, plant: DaemonProcess, path: str, language: str = "de") -> N
 
 
 @pytest.mark.parametrize(("path", "size"), first_quick(product(PAGES, VIEWPORTS)))
+@pytest.mark.full
 def test_a_page_fits_and_its_drawings_can_be_read(
     browser: Browser, plant: DaemonProcess, path: str, size: str
 ) -> None:
@@ -99,6 +100,7 @@ def test_a_page_fits_and_its_drawings_can_be_read(
 
 
 @pytest.mark.parametrize("size", ["tablet", "phone"])
+@pytest.mark.full
 def test_what_has_no_room_in_the_header_is_in_a_menu(
     browser: Browser, plant: DaemonProcess, size: str
 ) -> None:
@@ -120,6 +122,7 @@ def test_what_has_no_room_in_the_header_is_in_a_menu(
         watched.assert_clean()
 
 
+@pytest.mark.full
 def test_verdict_and_three_alarms_are_seen_at_once_on_a_tablet(
     browser: Browser, plant: DaemonProcess
 ) -> None:
@@ -141,6 +144,7 @@ def test_verdict_and_three_alarms_are_seen_at_once_on_a_tablet(
         watched.assert_clean()
 
 
+@pytest.mark.full
 def test_a_camera_with_a_fault_has_a_tile_as_high_as_the_others(
     browser: Browser, plant: DaemonProcess
 ) -> None:
@@ -156,6 +160,7 @@ def test_a_camera_with_a_fault_has_a_tile_as_high_as_the_others(
             assert max(heights) - min(heights) <= 1, heights
 
 
+@pytest.mark.full
 def test_the_call_to_sign_in_moves_nothing(browser: Browser, plant: DaemonProcess) -> None:
     with watched_page(browser, viewport=PHONE) as watched:
         page = watched.page

@@ -119,6 +119,7 @@ def test_a_body_is_drawn_and_turned_by_hand_and_key(page: Page, replay: DaemonPr
 
 
 @NEEDS_THREE
+@pytest.mark.full
 def test_gauges_are_drawn_and_can_be_put_away(page: Page, replay: DaemonProcess, stone: str) -> None:
     page.goto(address(replay, f"/stones/{stone}"))
     canvas = page.locator("canvas.body")
@@ -135,6 +136,7 @@ def test_gauges_are_drawn_and_can_be_put_away(page: Page, replay: DaemonProcess,
 
 
 @NEEDS_THREE
+@pytest.mark.full
 def test_a_body_is_coarse_until_all_of_it_is_asked_for(page: Page, replay: DaemonProcess, stone: str) -> None:
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url) if "mesh.glb" in request.url else None)
@@ -154,6 +156,7 @@ def test_a_body_is_coarse_until_all_of_it_is_asked_for(page: Page, replay: Daemo
 
 
 @pytest.mark.parametrize("lack", ["package", "WebGL"])
+@pytest.mark.full
 def test_without_3d_there_is_a_picture(page: Page, replay: DaemonProcess, stone: str, lack: str) -> None:
     if lack == "package":
         page.route("**/packages.json", lambda route: route.fulfill(json=[]))
@@ -167,6 +170,7 @@ def test_without_3d_there_is_a_picture(page: Page, replay: DaemonProcess, stone:
     assert page.locator("canvas").count() == 0
 
 
+@pytest.mark.full
 def test_the_passport_has_numbers_with_uncertainty_and_standard(
     page: Page, replay: DaemonProcess, stone: str
 ) -> None:
@@ -188,6 +192,7 @@ def test_the_passport_has_numbers_with_uncertainty_and_standard(
     expect(ratio).to_contain_text("Formfaktor")
 
 
+@pytest.mark.full
 def test_a_pin_holds_until_it_is_taken_away(page: Page, replay: DaemonProcess, lot: str, stone: str) -> None:
     two = replay.get(f"/particles?lot={lot}&outcome=measured&limit=2")["items"]
     other = next(each["id"] for each in two if each["id"] != stone)
@@ -201,6 +206,7 @@ def test_a_pin_holds_until_it_is_taken_away(page: Page, replay: DaemonProcess, l
     assert replay.get(f"/particles/{other}")["is_pinned"] is False
 
 
+@pytest.mark.full
 def test_in_print_is_a_picture_a_link_and_room_for_the_lab(
     page: Page, replay: DaemonProcess, stone: str
 ) -> None:
@@ -216,6 +222,7 @@ def test_in_print_is_a_picture_a_link_and_room_for_the_lab(
     screenshot(page, "passport-print")
 
 
+@pytest.mark.full
 def test_a_click_on_the_curve_shows_its_stones_and_one_less_moves_the_interval(
     page: Page, replay: DaemonProcess, lot: str
 ) -> None:
@@ -271,6 +278,7 @@ def _scroll_and_filter(page: Page, replay: DaemonProcess) -> None:
     until(page, "() => document.querySelectorAll('#tiles li').length >= 60")
 
 
+@pytest.mark.full
 def test_any_sieves_make_the_curve_and_wrong_ones_are_refused(
     page: Page, watched: Watched, replay: DaemonProcess, lot: str
 ) -> None:
@@ -320,6 +328,7 @@ def test_a_single_stone_is_called_one(
     assert [text.startswith(begin) for text, begin in zip(told, (one, many), strict=True)] == [True, True]
 
 
+@pytest.mark.full
 def test_the_largest_stones_of_a_lot_come_first(page: Page, replay: DaemonProcess, lot: str) -> None:
     page.goto(address(replay, f"/gallery?lot={lot}"))
     page.get_by_role("button", name="Largest stones first").click()
@@ -335,6 +344,7 @@ def test_the_largest_stones_of_a_lot_come_first(page: Page, replay: DaemonProces
     expect(page.locator("#list-heading")).to_contain_text("newest first")
 
 
+@pytest.mark.full
 def test_a_lot_is_compared_with_itself(page: Page, replay: DaemonProcess, lot: str) -> None:
     page.goto(address(replay, f"/compare?a={lot}"))
     page.locator("#b").select_option(lot)
@@ -365,6 +375,7 @@ def test_axe_core_finds_nothing(
         watched.assert_clean()
 
 
+@pytest.mark.full
 def test_all_is_reached_by_keys(page: Page, replay: DaemonProcess, lot: str, stone: str) -> None:
     page.goto(address(replay, f"/gallery?lot={lot}"))
     page.locator("[data-sieve]").first.wait_for()
@@ -379,6 +390,7 @@ def test_all_is_reached_by_keys(page: Page, replay: DaemonProcess, lot: str, sto
     assert ["not measured" in label for label in steps] == [bool(each & unmeasured) for each in ends]
 
 
+@pytest.mark.full
 def test_a_comparison_says_that_its_lots_are_still_loading(
     page: Page, replay: DaemonProcess, lot: str
 ) -> None:

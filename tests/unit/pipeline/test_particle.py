@@ -183,6 +183,7 @@ def test_a_body_cut_by_the_border_is_rejected_as_clipped(offset_mm: tuple[float,
     assert rejected_for(measured(bundle)) is RejectReason.CLIPPED
 
 
+@pytest.mark.full
 def test_views_of_different_stones_are_rejected_as_inconsistent() -> None:
     frames = {
         camera: rendered.bundle_of(

@@ -122,6 +122,7 @@ def expected_images(camera: CameraId) -> list[Image]:
     return [tagged_image(n, camera) for n in range(1, 7) if (n, camera) != (4, UNSEEN)]
 
 
+@pytest.mark.full
 def test_every_frame_is_the_recording_s_pixel_by_pixel(recording_path: Path, design: RigDesign) -> None:
     with SimulatedRig(design, open_recording(recording_path)) as rig, hosted(rig, design) as host:
         rig.belt.start_when(lambda: rig.is_ready)
@@ -145,6 +146,7 @@ def test_every_frame_is_the_recording_s_pixel_by_pixel(recording_path: Path, des
         assert counted["unexposed"] == 6 - counted["frames"]
 
 
+@pytest.mark.full
 def test_without_a_wire_the_host_triggers(recording_path: Path, design: RigDesign) -> None:
     # a stone is seen as late as the host of a busy machine may be: less than the delay, which must not be left out
     design = replace(design, rate_hz=1, fall_ms=500, sight_ms=450)
@@ -159,6 +161,7 @@ def test_without_a_wire_the_host_triggers(recording_path: Path, design: RigDesig
         assert rig.counters()["cameras"][CAMERAS[0]]["missed"] == 6  # edges on a line nobody listens to
 
 
+@pytest.mark.full
 def test_it_plays_again_and_again(recording_path: Path, design: RigDesign) -> None:
     looping = replace(design, is_looping=True, n_cameras=1)
     with SimulatedRig(looping, open_recording(recording_path)) as rig, hosted(rig, looping) as host:

@@ -58,6 +58,7 @@ def with_dot(bundle: FrameBundle, view: BallView, share: float) -> FrameBundle:
     return replace(bundle, frames={CAMERA: replace(frame, image=image)})
 
 
+@pytest.mark.full
 def test_outline_is_that_of_the_exact_projection(bundle: FrameBundle) -> None:
     drop = seen(bundle)
     assert not drop.refused

@@ -56,6 +56,7 @@ def with_focal_lengths(rig: RigCalibration, factor: float, *names: CameraId) -> 
     )
 
 
+@pytest.mark.full
 def test_a_sound_calibration_has_no_problem() -> None:
     _, report = sound()
     assert report.problems == ()
@@ -84,6 +85,7 @@ def test_another_lens_in_all_cameras_is_named_and_corrected() -> None:
     assert found == pytest.approx(np.mean([camera.focal_px for camera in rig.cameras]), rel=3e-3)
 
 
+@pytest.mark.full
 def test_another_lens_in_one_camera_is_named() -> None:
     rig = with_focal_lengths(as_built(nominal_rig(), 14), 1.06, C09)
     report = report_of(drops_across(rig, 8, seed=14))
@@ -102,6 +104,7 @@ def test_drops_close_together_cannot_tell_a_lens_from_a_diameter() -> None:
 
 
 @pytest.mark.parametrize("degrees", [0.1, 0.5])
+@pytest.mark.full
 def test_a_camera_that_was_bumped_since_the_last_calibration_is_named(degrees: float) -> None:
     rig = as_built(nominal_rig(), 16)
     report = report_of(drops_across(turned(rig, C03, degrees), 8, seed=16), initial=rig)

@@ -23,6 +23,7 @@ def reports() -> list[tuple[RigCalibration, CalibrationReport]]:
     return [(rig, solved(rig, 8, seed)) for seed, rig in enumerate(rigs)]
 
 
+@pytest.mark.full
 def test_standard_deviations_of_cameras(reports: list[tuple[RigCalibration, CalibrationReport]]) -> None:
     focal, principal = [], []
     for true, report in reports:

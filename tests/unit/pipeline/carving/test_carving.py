@@ -42,6 +42,7 @@ def test_sub_voxel_hull_of_a_sphere_has_the_volume_of_its_sixteen_cones() -> Non
     assert np.abs(radii - 7.5).mean() < 0.025
 
 
+@pytest.mark.full
 def test_view_count_field_erodes_as_the_paper_s_does() -> None:
     mesh = meshed(carve(prepare_views(sphere_silhouettes(RIG), RIG), CarvingParameters(field="view_count")))
     assert mesh.volume / SPHERE_MM3 == pytest.approx(0.991, abs=0.003)

@@ -112,6 +112,7 @@ def test_what_shows_no_texture_stays_as_estimated(name: str):
     assert plain.refinement.support.share < 0.05
 
 
+@pytest.mark.full
 def test_sharp_edges_stay_sharp():
     mottled = case("mottled cube")
     before, after = (mottled.distances(each.mesh) for each in (mottled.estimate, mottled.refinement))

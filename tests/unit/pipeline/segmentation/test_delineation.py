@@ -240,6 +240,7 @@ def test_after_the_warm_up_nothing_is_left_to_compile() -> None:
 
 
 @pytest.mark.parametrize("is_possible", [True, False])
+@pytest.mark.full
 def test_where_nothing_can_be_kept_each_process_compiles_for_itself(
     is_possible: bool, tmp_path: Path
 ) -> None:

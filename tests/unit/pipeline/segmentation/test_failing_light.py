@@ -87,6 +87,7 @@ def diameters_mm(result: ParticleResult) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("loss", "one_sided"), first_quick([(0.3, True), (0.15, True), (0.3, False)]))
+@pytest.mark.full
 def test_light_that_dims_by_a_third_over_an_hour_measures_no_other_sphere(
     loss: float, one_sided: bool
 ) -> None:

@@ -54,6 +54,7 @@ def variances(weights: FloatImage) -> Floats:
 
 @pytest.mark.parametrize("body", first_quick([cube(4.0), sphere(4.0)]), ids=lambda body: body.name)
 @pytest.mark.parametrize("farther_mm", first_quick([-9.0, 12.0]))
+@pytest.mark.full
 def test_it_is_the_share_of_rays_that_hit(body: Body, farther_mm: float) -> None:
     mesh, window, covered = seen(body, F2, CAMERA, farther_mm)
     by_rays = coverage_by_rays(

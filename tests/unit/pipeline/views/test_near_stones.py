@@ -89,6 +89,7 @@ def test_a_stone_that_is_not_where_it_should_be_spoils_only_views_that_it_could_
 
 @examples(0.6)
 @given(OFFSETS_MM, OFFSETS_MM, SIZES_MM, SIZES_MM, st.floats(-50, 50), st.floats(-3, 3))
+@pytest.mark.full
 def test_the_due_stone_is_never_painted_over_and_never_seen_with_another(
     due_mm: np.ndarray,
     other_mm: np.ndarray,
@@ -117,6 +118,7 @@ def test_the_due_stone_is_never_painted_over_and_never_seen_with_another(
 
 
 @pytest.mark.parametrize("form", STONE_FORMS)
+@pytest.mark.full
 def test_the_centre_of_a_stone_lies_in_the_middle_of_its_extent_as_stated(form: str) -> None:
     rng = stream(5, 1)
     for _ in range(60):

@@ -87,6 +87,7 @@ def test_without_a_diameter_the_scale_is_said_to_be_unknown(folder: Path) -> Non
     assert as_a_program_reads_it(report["problems"]) == {("scale_not_observable", False)}
 
 
+@pytest.mark.full
 def test_a_wrong_diameter_is_refused_unless_forced(folder: Path) -> None:
     wrong = ("--ball-diameter-mm", "10.5263", "--json")
     refused = run(folder, *wrong, out="refused.json")

@@ -102,6 +102,7 @@ def test_files_are_as_promised_and_independent_of_the_workers(recording: Path, t
     assert curve["unmeasured"]["n_stones"] == 0
 
 
+@pytest.mark.full
 def test_imported_masks_are_silhouettes_and_never_claim_more_than_they_show(
     recording: Path, tmp_path: Path
 ) -> None:
@@ -183,6 +184,7 @@ def test_paper_s_field_and_a_configuration_s_parameters(recording: Path, tmp_pat
         assert record["equivalent_diameter_mm"] < 14.9
 
 
+@pytest.mark.full
 def test_the_network_needs_no_empty_rig(tmp_path: Path) -> None:
     write_small_recording(tmp_path / "recording", n_stones=1, n_backgrounds=0)
     run(tmp_path / "recording", "--out", tmp_path / "out", "--workers", 1)
@@ -205,6 +207,7 @@ def test_a_model_that_was_asked_for_must_be_there(recording: Path, tmp_path: Pat
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.full
 def test_bundles_that_are_not_as_they_should_be(tmp_path: Path) -> None:
     """Record stones with 14 views, a wrong view, no body, two bodies, a cut view, a ball, and another stone's pulse."""
     rig = thumbnail_rig()
@@ -272,6 +275,7 @@ def test_bundles_that_are_not_as_they_should_be(tmp_path: Path) -> None:
     assert curve["n_stones"] == 3, "a calibration ball is no stone"
 
 
+@pytest.mark.full
 def test_a_damaged_bundle_costs_only_itself(tmp_path: Path) -> None:
     recording = tmp_path / "recording"
     write_small_recording(recording, n_stones=2)
@@ -324,6 +328,7 @@ def test_folders_of_others_are_left_alone(recording: Path, tmp_path: Path) -> No
         run(recording, "--out", tmp_path)
 
 
+@pytest.mark.full
 def test_what_does_not_get_to_its_end_changes_nothing(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

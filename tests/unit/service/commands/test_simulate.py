@@ -81,6 +81,7 @@ def test_it_says_what_is_there_and_ends_when_told(tmp_path: Path, recording_path
     assert not control.exists()
 
 
+@pytest.mark.full
 def test_once_through(recording_path: Path) -> None:
     with simulating(
         recording_path, "--address", FIRST_ADDRESS, "--cameras", 2, "--rate", 20, "--once", "--json"

@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 LATER = ("trimesh", "networkx", "scipy.optimize", "scipy.ndimage", "skimage.measure", "pipeline.synthesis")
 
 
@@ -12,6 +14,7 @@ def test_what_is_needed_later_is_imported_later() -> None:
     assert printed.strip() == "[]"
 
 
+@pytest.mark.full
 def test_what_workers_are_forked_from_has_no_thread_and_no_network() -> None:
     code = (
         "import os, sys, service.processing.worker_imports\n"

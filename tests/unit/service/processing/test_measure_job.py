@@ -31,6 +31,7 @@ from service.results.fields import RUSH
     ("texture", "is_rushed", "is_textured"),
     [(None, False, True), (None, True, False), (True, True, True), (False, False, False)],
 )
+@pytest.mark.full
 def test_under_a_rush_a_stone_is_neither_refined_nor_textured_unless_texture_is_asked_for(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

@@ -134,6 +134,7 @@ open_store(Path(sys.argv[1]))
 """
 
 
+@pytest.mark.full
 async def test_a_start_that_is_killed_while_it_fills_columns_is_gone_on_with(
     state_dir: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

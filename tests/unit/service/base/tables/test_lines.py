@@ -73,6 +73,7 @@ def test_what_a_spreadsheet_writes_is_read_back(rows: list[list[str]], mark: str
 @given(
     st.text(st.characters(codec="cp1252", min_codepoint=32), min_size=1).map(lambda text: f"Sieb µm;{text}")
 )
+@pytest.mark.full
 def test_the_encoding_does_not_matter(text: str) -> None:
     for encoding in ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"):
         assert text_of(text.encode(encoding)) == text

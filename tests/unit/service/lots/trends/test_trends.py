@@ -122,6 +122,7 @@ def test_buckets_are_few(hours: float, bucket_s: int) -> None:
     assert bucket_s_of(hours) == bucket_s
 
 
+@pytest.mark.full
 def test_a_new_shape_since_a_liner_change_is_significant_and_said_so(connection: sqlite3.Connection) -> None:
     next_seq = fall(connection, at(-4), 120, per_min=60)
     fall(connection, at(-2), 115, per_min=60, long_share=0.24, first_seq=next_seq, seed=1)
