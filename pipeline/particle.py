@@ -67,6 +67,7 @@ class PipelineParameters:
     body: BodyParameters = field(default_factory=BodyParameters)
     measuring: MeasuringParameters = field(default_factory=MeasuringParameters)
     fall: Fall = field(default_factory=Fall)
+    is_rushed: bool = False  # no time for the pixels: a body of the kind "photo" stays as estimated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,8 +147,12 @@ def measure_bundle(
             )
         except (MeshError, ValueError, ArithmeticError) as err:
             raise RejectedError(RejectReason.IMPLAUSIBLE, f"the silhouettes bound no body: {err}") from err
+        hidden_as = Cause.RUSH if parameters.is_rushed else Cause.HIDDEN
         quality = verdict(
-            measurement.uncertainty, by_number, parameters.quality, parameters.body.kind == "photo"
+            measurement.uncertainty,
+            by_number,
+            parameters.quality,
+            hidden_as if parameters.body.kind == "photo" else None,
         )
         on_stage("measure")
         greys = None
@@ -205,7 +210,8 @@ def _body(
         raise RejectedError(RejectReason.IMPLAUSIBLE, "the silhouettes have no common body")
     estimate = None if parameters.body.kind == "hull" else estimate_body(mesh, views)
     on_stage("estimate")
-    if parameters.body.kind != "photo" or estimate is None or estimate.fallback is not None:
+    is_refined = parameters.body.kind == "photo" and not parameters.is_rushed
+    if not is_refined or estimate is None or estimate.fallback is not None:
         return FoundBody(hull=mesh, estimate=estimate)
     refinement = refine_body(estimate, mesh, frames, views, background)
     on_stage("refine")

@@ -26,3 +26,5 @@ class Cause(StrEnum):
     """Residuals of the calibration, and the scale of its lengths."""
     HIDDEN = "hidden"
     """Dents and pores that no silhouette shows, and how well pixels show them."""
+    RUSH = "rush"
+    """The same dents, where there was no time for the pixels."""

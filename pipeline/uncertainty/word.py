@@ -36,19 +36,20 @@ class QualityVerdict:
 
 
 def verdict(
-    found: Uncertainty, by_number: Quality, parameters: QualityParameters, is_by_pixels: bool = False
+    found: Uncertainty, by_number: Quality, parameters: QualityParameters, hidden_as: Cause | None = None
 ) -> QualityVerdict:
     """Return the worse of the quality by the number of views and that by uncertainty, and its causes.
 
     Causes are named until without them the uncertainty would be that of a good result. Dents that no silhouette
-    shows are left out where silhouettes alone were asked for: no view could be better for them. Where pixels inside
-    the outlines were, dents that these do not show keep a result from being good: in better light they would.
+    shows are left out where silhouettes alone were asked for (`hidden_as` is None): no view could be better for them.
+    Where pixels inside the outlines were, dents that these do not show keep a result from being good, as the cause
+    `hidden_as`: in better light, or with more time, they would.
     """
     p = parameters
     sds = {
         cause: (found.surface_mm[cause], found.volume_percent[cause])
         for cause in found.surface_mm
-        if is_by_pixels or cause is not Cause.HIDDEN
+        if hidden_as is not None or cause is not Cause.HIDDEN
     }
     limits = (
         (Quality.GOOD, p.good_mm, p.good_volume_percent),
@@ -66,13 +67,14 @@ def verdict(
     by_sigma = quality_without()
     if by_sigma is Quality.DEGRADED and quality_without(Cause.HIDDEN) is not Quality.DEGRADED:
         by_sigma = Quality.REDUCED
-    causes = [Cause.VIEWS] if by_number is not Quality.GOOD else []
+    causes: list[Cause] = [Cause.VIEWS] if by_number is not Quality.GOOD else []
     worst_first = sorted(
         sds, key=lambda cause: -max(sds[cause][0] / p.good_mm, sds[cause][1] / p.good_volume_percent)
     )
     for n, cause in enumerate(worst_first):
         if quality_without(*worst_first[:n]) is Quality.GOOD:
             break
-        if cause not in causes:
-            causes.append(cause)
+        named = hidden_as if cause is Cause.HIDDEN and hidden_as is not None else cause
+        if named not in causes:
+            causes.append(named)
     return QualityVerdict(quality=max(by_sigma, by_number, key=BEST_FIRST.index), causes=tuple(causes))

@@ -209,7 +209,8 @@ def measure(job: MeasureJob) -> MeasuredBundle:
     parameters = worker.context.parameters
     skips_refinement = job.is_rushed and parameters.body.kind == "photo"
     if skips_refinement:
-        parameters = replace(parameters, body=replace(parameters.body, kind="estimate"))
+        body = replace(parameters.body, texture=bool(parameters.body.texture))
+        parameters = replace(parameters, body=body, is_rushed=True)
     with worker_boundary():
         background = background_at(job.background_path)
         rig = rig_in(job.rig_file)

@@ -142,6 +142,7 @@ QualityCause = Literal[
     "disagreement",
     "calibration",
     "hidden",
+    "rush",
 ]
 """Why a result may be further from the truth than `good` ones."""
 

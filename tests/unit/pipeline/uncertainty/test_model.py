@@ -73,7 +73,9 @@ EVIDENCE = st.builds(
 @examples(0.5)
 def test_variances_of_all_causes_add_up(evidence: Evidence) -> None:
     found = uncertainty(evidence)
-    assert set(found.surface_mm) == set(found.volume_percent) == set(Cause)
+    assert (
+        set(found.surface_mm) == set(found.volume_percent) == set(Cause) - {Cause.RUSH}
+    )  # a word for HIDDEN
     assert all(sd >= 0 for sd in (*found.surface_mm.values(), *found.volume_percent.values()))
     assert found.surface_sd_mm**2 == pytest.approx(sum(sd**2 for sd in found.surface_mm.values()))
     assert found.volume_sd_percent**2 == pytest.approx(sum(sd**2 for sd in found.volume_percent.values()))

@@ -32,7 +32,7 @@ def main_cause(result: ParticleResult) -> Cause:
     """The greatest cause but the dents that no silhouette shows."""
     assert result.measurement is not None
     surface_mm = result.measurement.uncertainty.surface_mm
-    return max((cause for cause in Cause if cause is not Cause.HIDDEN), key=lambda cause: surface_mm[cause])
+    return max(surface_mm.keys() - {Cause.HIDDEN}, key=lambda cause: surface_mm[cause])
 
 
 @pytest.mark.parametrize(

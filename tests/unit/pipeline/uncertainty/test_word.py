@@ -52,6 +52,15 @@ def test_causes_are_named_until_the_rest_would_be_good() -> None:
     assert word.causes == (Cause.FOCUS, Cause.UNSEEN)
 
 
+@pytest.mark.parametrize("cause", [Cause.HIDDEN, Cause.RUSH])
+def test_dents_that_pixels_were_to_show_keep_a_result_from_being_good(cause: Cause) -> None:
+    found = having(20.0, hidden=1.0, focus=0.01)
+    word = verdict(found, Quality.GOOD, P, cause)
+    assert (word.quality, word.causes) == (Quality.REDUCED, (cause,))
+    shallow = verdict(having(hidden=P.good_mm), Quality.GOOD, P, cause)
+    assert (shallow.quality, shallow.causes) == (Quality.GOOD, ())
+
+
 @pytest.mark.parametrize("wrong", [{"good_mm": 0.2}, {"good_volume_percent": 0.0}])
 def test_limits_are_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="quality needs"):
