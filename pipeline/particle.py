@@ -30,6 +30,7 @@ from pipeline.view_optics import ViewOptics
 from pipeline.views.consistency import Consistency, ConsistencyParameters, check_consistency
 from pipeline.views.dropped import DropCause, DroppedView
 from pipeline.views.near_stones import single_out
+from pipeline.views.necks import shows_neck
 from pipeline.views.prepared import PreparedViews, prepare_views
 from pipeline.views.quality import (
     Quality,
@@ -128,8 +129,11 @@ def measure_bundle(
         views = views.without(consistency.suspects)
         outlined = views.with_outline()  # a view of which only unknown is left tells nothing
         by_number = quality_of(rig.subset(outlined.camera_ids), rig, parameters.views)
-        is_merged = bool(singled.painted and consistency.suspects) or shows_several(silhouettes)
-        if by_number is Quality.GOOD and is_merged:
+        if by_number is Quality.GOOD and (
+            bool(singled.painted and consistency.suspects)
+            or shows_several(silhouettes)
+            or shows_neck(views.silhouettes)
+        ):
             by_number = Quality.REDUCED
         try:
             body = _body(frames, views, background, parameters, on_stage)
