@@ -2,7 +2,8 @@
 
 The numbers and times returned go on over wraps of the gate's counters of 32 bits and over its restarts, so that none
 comes twice. A clock of 32 bits begins again at 0 as after a loss of power: of the two it is the wrap if the gate
-counts on, and if its clock then advanced as the host's did.
+counts on, and if its clock then advanced as the host's did. A clock that went back to a time longer ago than the latest
+line is no restart either: since then the gate cannot have been switched on.
 """
 
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 from drivers.gates.gate_records import SEQUENCES
 
 OUT_OF_ORDER_US = 1_000_000
-"""An edge may be sent after a status with a later time; a gate whose time goes back by more was restarted."""
+"""An edge may be sent after a status with a later time; one whose time goes back by more was restarted, or is wrong."""
 SHORT_CLOCK_US = 1 << 32
 """After so long, 71.6 minutes, a clock of 32 bits begins again at 0."""
 UNREAD_US = 100_000_000
@@ -31,6 +32,7 @@ class CountedStep:
     is_repeated: bool = False  # this edge was announced before
     has_restarted: bool = False  # the gate counts anew: edges that it had not announced before are unknown
     has_wrapped: bool = False  # the gate's clock has 32 bits, and began again at 0
+    has_stepped_back: bool = False  # the gate's clock was set back, or told wrongly before; it counts on
 
 
 class EdgeCounter:
@@ -74,11 +76,15 @@ class EdgeCounter:
         return self._advance(last_sequence, sent_us, host_ns, n_announced=0)
 
     def _advance(self, sequence: int, sent_us: int, host_ns: int | None, *, n_announced: int) -> CountedStep:
-        n_new, elapsed_us, turns, has_restarted = n_announced, 0, 0, False
+        n_new, elapsed_us, turns = n_announced, 0, 0
+        has_restarted = has_stepped_back = False
         if self._last is not None:
             n_new, turns = (sequence - self._last) % SEQUENCES, self._turns_until(sent_us, host_ns)
             elapsed_us = sent_us - self._sent_us + turns * SHORT_CLOCK_US
-            has_restarted = elapsed_us < -OUT_OF_ORDER_US or n_new >= SEQUENCES // 2
+            has_stepped_back = elapsed_us < -OUT_OF_ORDER_US
+            has_restarted = n_new >= SEQUENCES // 2 or (
+                has_stepped_back and self._may_be_new(sent_us, host_ns)
+            )
         if has_restarted:
             n_new, elapsed_us = max(sequence, n_announced), sent_us
         missed: int | None = max(n_new - n_announced, 0)
@@ -93,7 +99,15 @@ class EdgeCounter:
             missed=missed,
             has_restarted=has_restarted,
             has_wrapped=turns > 0 and not has_restarted,
+            has_stepped_back=has_stepped_back and not has_restarted,
         )
+
+    def _may_be_new(self, sent_us: int, host_ns: int | None) -> bool:
+        """True when the gate can have been switched on after the latest line; where the host's time is unknown, too."""
+        if host_ns is None or self._host_ns is None:
+            return True
+        host_us = (host_ns - self._host_ns) // 1000
+        return sent_us <= host_us + host_us // 1000 + OUT_OF_ORDER_US + UNREAD_US
 
     def _turns_until(self, sent_us: int, host_ns: int | None) -> int:
         """Return the wraps of a clock of 32 bits by which it advanced as the host's did; 0 if none explain it.

@@ -234,6 +234,10 @@ class GateListener:
             self._begin_anew(counted=None if step.missed is None else 0)
             missed = "an unknown number" if step.missed is None else step.missed
             log.warning("light gate was restarted, stones missed: %s; check its power supply", missed)
+        if step.has_stepped_back:
+            self._clock.restart()
+            self._filter.reset()
+            log.warning("light gate: its clock went back, but it counts on; look at its firmware")
         if step.has_wrapped:
             self._counters.wraps += 1
             self._is_clock_short = True

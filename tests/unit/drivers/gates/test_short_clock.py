@@ -121,6 +121,38 @@ def test_a_count_that_goes_on_is_a_restart_if_the_clock_does_not_fit(
     assert (step.has_restarted, step.missed) == (True, board.count)
 
 
+@pytest.mark.parametrize("bits", [32, 64])
+@given(
+    on_us=st.integers(UNREAD_US + 120 * SECOND_US, SHORT_CLOCK_US - HOUR_US),
+    first=st.integers(0, 1_000_000),
+    waited_us=st.integers(0, 10 * SECOND_US),
+    back_us=st.integers(12 * SECOND_US, 60 * SECOND_US),
+    n_more=st.integers(0, MAX_BURST),
+)
+def test_a_clock_that_goes_back_a_little_is_no_restart(
+    bits: int, on_us: int, first: int, waited_us: int, back_us: int, n_more: int
+) -> None:
+    """A restart after the latest line would show a time since it: all stones since power-on were told as missed."""
+    board = Board(bits, 0, on_us=on_us, count=first)
+    board.counter.status(board.sent_count, board.sent_us, board.host_us * 1000)
+    board.wait(waited_us)
+    board.on_us -= back_us
+    board.count += n_more
+    step = board.counter.status(board.sent_count, board.sent_us, board.host_us * 1000)
+    assert (step.has_restarted, step.missed, step.has_stepped_back) == (False, n_more, True)
+
+
+def test_stones_after_a_clock_that_went_back_are_dated_by_its_new_time() -> None:
+    listener = GateListener(STONEFALL, baud=4_000_000, debounce_ns=1000)
+    on_us = 2 * HOUR_US
+    assert not [*heard(listener, 0, ME, status(on_us, 22))]
+    assert not [*heard(listener, 1_000_000, status(on_us - 4_000_000, 22))]
+    (trigger,) = heard(listener, 1_500_000, Edge(23, on_us - 3_500_000))
+    assert isinstance(trigger, Trigger)
+    assert trigger.received_ns == pytest.approx(1_500_000_000, abs=1_000_000)
+    assert (listener.counters.missed, listener.counters.restarts) == (0, 0)
+
+
 @given(st.integers(0, SHORT_CLOCK_US), st.integers(0, UNREAD_US))
 def test_lines_that_a_busy_host_reads_late_are_no_restart(before_us: int, late_us: int) -> None:
     board = Board(32, 0, on_us=SHORT_CLOCK_US - min(before_us, SECOND_US), count=22)
