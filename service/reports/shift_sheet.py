@@ -198,8 +198,8 @@ def _headline(sheet: ShiftSheet, say: Words) -> str:
     is_known = any(each.mass_kg is not None for each in sheet.products)
     parts = [
         say("lot.tonnes", value=say.number(mass_kg / 1000, 3)) if is_known else say("shift.no_mass"),
-        say("shift.n_stones", n=say.number(sheet.triggers, 0)),
-        say("shift.n_lots", n=say.number(len(sheet.lots), 0)),
+        say.counted("shift.n_stones", sheet.triggers),
+        say.counted("shift.n_lots", len(sheet.lots)),
     ]
     counted = Counter(each.verdict for each in sheet.lots if each.is_final)
     parts += [f"{n} × {say.known('verdict', each)}" for each in JUDGED if (n := counted[each])]
@@ -227,9 +227,7 @@ def _stones(sheet: ShiftSheet, say: Words) -> Section:
         mass=say("shift.mass_is", of=abridged("; ".join(based), 200), n=say.number(unmeasured, 0))
         if based
         else None,
-        tonnage=say("shift.given", value=say.number(sum(given), 1), n=say.number(len(given), 0))
-        if given
-        else None,
+        tonnage=say.counted("shift.given", len(given), value=say.number(sum(given), 1)) if given else None,
     )
     return Section(say("shift.measured"), (block,))
 

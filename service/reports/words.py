@@ -35,6 +35,10 @@ class Words:
         """Return a text, with values in its places."""
         return self.texts[key].format(**values) if values else self.texts[key]
 
+    def counted(self, key: str, n: int, **values: object) -> str:
+        """Return a text with a number in it; of one it is that of the key with `_1`."""
+        return self(f"{key}_1" if n == 1 else key, n=self.number(n, 0), **values)
+
     def known(self, family: str, word: str) -> str:
         """Return the text of a word of the REST contract; one that has none is printed as it is."""
         return self.texts.get(f"{family}.{word}") or abridged(word, LONGEST_HEADING)

@@ -1,5 +1,6 @@
 """The sheet of a shift: one page whatever happened, the rest counted, in both languages."""
 
+import re
 from io import BytesIO
 
 import pytest
@@ -43,6 +44,15 @@ def test_a_sheet_is_one_page_and_counts_what_it_has_no_room_for(language: Langua
             table, *notes = section.blocks
             n_more = sum(int("".join(filter(str.isdecimal, note.text))) for note in notes)
             assert len(table.rows) + n_more == n
+
+
+@pytest.mark.parametrize(
+    ("language", "said"), [("en", ("1 lot", "t in 1 lot")), ("de", ("1 Los", "t in 1 Los"))]
+)
+def test_one_lot_is_no_lots(language: str, said: tuple[str, str]) -> None:
+    text = sheet_html(data_of(shift_sheet(n_lots=1), Language(language))).decode().replace("\u00a0", " ")
+    for each in said:
+        assert re.search(rf"{each}\b", text)
 
 
 def test_a_sheet_says_what_its_mass_is_based_on_and_what_its_lots_are() -> None:

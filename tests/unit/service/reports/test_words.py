@@ -91,6 +91,7 @@ def used_keys() -> Iterator[str]:
     for path in SOURCES.rglob("*.py"):
         text = path.read_text(encoding="utf-8")
         yield from re.findall(rf"""["']((?:{sections})\.\w+)["']""", text)
+        yield from (f"{key}_1" for key in re.findall(r"""\.counted\(["']([\w.]+)["']""", text))
         for node in ast.walk(ast.parse(text)):
             match node:
                 case ast.Call(func=ast.Name("facts"), args=[_, ast.Constant(section)], keywords=named):
