@@ -145,13 +145,28 @@ def load_settings(path: Path) -> Settings:
     except RecursionError as err:
         raise SettingsError(f"{path}: is nested too deeply") from err
     try:
-        return Settings.model_validate(document, context={"folder": path.resolve().parent})
+        settings = Settings.model_validate(document, context={"folder": path.resolve().parent})
     except ValidationError as err:
         wrong = "; ".join(
             f"{_name_of(error['loc'])}: {error['msg'].removeprefix('Value error, ')}"
             for error in err.errors()
         )
         raise SettingsError(f"{path}: {wrong}") from None
+    if wrong := "; ".join(_truths_as_numbers(document, settings)):
+        raise SettingsError(f"{path}: {wrong}")
+    return settings
+
+
+def _truths_as_numbers(given: object, made: object, *loc: int | str) -> Iterator[str]:
+    """Yield the settings that are numbers but were given as true or false, which pydantic takes for 1 or 0."""
+    if isinstance(given, bool) and isinstance(made, int | float) and not isinstance(made, bool):
+        yield f"{_name_of(loc)}: must be a number, not {str(given).lower()}"
+    elif isinstance(given, dict):
+        for name, value in given.items():
+            yield from _truths_as_numbers(value, getattr(made, name, None), *loc, name)
+    elif isinstance(given, list) and isinstance(made, tuple | list):
+        for place, (value, each) in enumerate(zip(given, made, strict=False)):
+            yield from _truths_as_numbers(value, each, *loc, place)
 
 
 def problems(settings: Settings) -> Iterator[str]:

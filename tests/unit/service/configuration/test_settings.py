@@ -83,9 +83,8 @@ def test_a_linked_configuration_means_the_files_beside_the_target(tmp_path: Path
 
 
 def test_every_parameter_of_the_pipeline_can_be_set(tmp_path: Path):
-    given = {part.name for part in fields(PipelineParameters)} - {
-        "fall"
-    }  # which the source of the stones knows
+    # the source of the stones knows the fall, the daemon whether there is time
+    given = {part.name for part in fields(PipelineParameters)} - {"fall", "is_rushed"}
     assert given < Settings.model_fields.keys()
     assert settings_of(tmp_path, MINIMAL).pipeline == PipelineParameters()
     pipeline = settings_of(tmp_path, MINIMAL + "[carving]\nn = 64\n[measuring]\ndensity_g_cm3 = 2.7").pipeline
@@ -101,6 +100,11 @@ def test_every_parameter_of_the_pipeline_can_be_set(tmp_path: Path):
         ),
         (MINIMAL + "[carvin]\nn = 64", ["carvin: "]),
         (MINIMAL + "[workers]\nslot = 2", ["workers.slot: "]),
+        (MINIMAL + "[workers]\nslots = true", ["workers.slots: must be a number, not true"]),
+        (
+            LIVE.replace("[rig]", "[rig]\ndelay_outside_ms = true\ngain_db = false"),
+            ["rig.delay_outside_ms: must be a number, not true", "rig.gain_db: must be a number, not false"],
+        ),
         (MINIMAL + "[workers]\nslots = 0", ["workers: slots must be in 1..256, not 0"]),
         (MINIMAL + "[bundling]\nwindow_ms = 150", ["bundling: dead_time_ms must exceed twice window_ms"]),
         (MINIMAL + "keep_raw = -1", ["store: keep_raw must not be negative, not -1"]),
