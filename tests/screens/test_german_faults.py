@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import pytest
 from playwright.sync_api import Browser, expect
 from support.browser import origin_of, screenshot, violations, watched_page
 from support.live_rig import live_rig
@@ -14,6 +15,7 @@ ENGLISH = re.compile(r"\b(the|of|and|light|look|check|has|is|its|does|not|answer
 SILENT = "c03"
 
 
+@pytest.mark.full
 def test_a_fault_of_gate_and_camera_is_told_in_german(browser: Browser, tmp_path: Path) -> None:
     recording = tmp_path / "recording"
     write_small_recording(recording, n_stones=2)
