@@ -28,6 +28,8 @@ PAGE = 1000
 """Results that are asked for at a time, the most that the daemon gives."""
 ANSWER_S = 30.0
 """Longest wait for an answer, beyond the time that a long poll may take."""
+FEEDS = {"results": ("id", "outcome"), "events": ("type", "subject")}
+"""The feeds that can be followed, and what each of their items has."""
 
 
 class ClientError(Exception):
@@ -128,16 +130,18 @@ class Client:
                     raise
                 time.sleep(pause_s)
 
-    def page(self, after: int, wait_s: float, fields: str | None) -> tuple[str, list[dict[str, Any]]]:
-        """Return the history and its results after a cursor, as soon as there is one or `wait_s` are over."""
+    def page(
+        self, after: int, wait_s: float, fields: str | None, feed: str = "results"
+    ) -> tuple[str, list[dict[str, Any]]]:
+        """Return the history and its items after a cursor, as soon as there is one or `wait_s` are over."""
         query: dict[str, object] = {"after": after, "limit": PAGE, "wait_s": round(wait_s, 3)}
         if fields is not None:
             query["fields"] = fields
-        page = self.get("/results", timeout_s=wait_s + ANSWER_S, **query)
+        page = self.get(f"/{feed}", timeout_s=wait_s + ANSWER_S, **query)
         try:
             instance_id, items, next_after = str(page["instance_id"]), list(page["items"]), page["next_after"]
             seqs = [after, *(int(item["seq"]) for item in items)]
-            is_whole = all(item["id"] and item["outcome"] for item in items)
+            is_whole = all(item[name] for item in items for name in FEEDS[feed])
         except (KeyError, TypeError, ValueError) as err:
             raise NoAnswerError(f"the answer is no page of the feed: {err!r}") from err
         is_in_order = next_after == seqs[-1] and all(a < b for a, b in pairwise(seqs))
@@ -209,8 +213,11 @@ def follow(
     wait_s: float = 20.0,
     seconds: float = math.inf,
     pauses: Pauses = Pauses(),
+    feed: str = "results",
 ) -> Iterator[Step]:
     """Yield the results after a position, for `seconds`, through failures of the network, the daemon and its store.
+
+    Or the items of another one of `FEEDS`: of the events, which have no `fields`, and no cursor that is parked.
 
     A step is to be durable before the next one is asked for. Then nothing is lost, whenever this process is killed.
     Results come at least once, and a stone that was measured again comes again under its `id`, with the next
@@ -230,7 +237,7 @@ def follow(
                     park_s = time.monotonic() + pauses.refused
                     yield Step(position, trouble=err)
         try:
-            instance_id, items = client.page(asked, min(wait_s, left_s), fields)
+            instance_id, items = client.page(asked, min(wait_s, left_s), fields, feed)
         except ClientError as err:
             first_seq = err.problem.get("first_seq") if isinstance(err, ProblemError) else None
             if err.kind == "cursor-expired" and isinstance(first_seq, int) and first_seq - 1 > asked:
@@ -321,16 +328,27 @@ def deliver(client: Client, handle: Callable[[Step], None], cursor_file: Path, *
 
     After a kill in between the last step comes again: `id` and `revision` tell what was handled before.
     """
-    position = Position(**json.loads(cursor_file.read_text())) if cursor_file.exists() else Position()
+    position = kept_position(cursor_file)
     for step in follow(client, position, **options):
         handle(step)
         if step.position != position:
-            position, unfinished = step.position, cursor_file.with_suffix(".new")
-            with unfinished.open("w") as file:
-                json.dump(asdict(position), file)
-                file.flush()
-                os.fsync(file.fileno())
-            unfinished.replace(cursor_file)
+            position = step.position
+            keep_position(cursor_file, position)
+
+
+def kept_position(cursor_file: Path) -> Position:
+    """Return the position that is kept in a file, the beginning if there is none."""
+    return Position(**json.loads(cursor_file.read_text())) if cursor_file.exists() else Position()
+
+
+def keep_position(cursor_file: Path, position: Position) -> None:
+    """Put a position in the place of the one that is kept; a kill or a power cut leaves either of them."""
+    unfinished = cursor_file.with_suffix(".new")
+    with unfinished.open("w") as file:
+        json.dump(asdict(position), file)
+        file.flush()
+        os.fsync(file.fileno())
+    unfinished.replace(cursor_file)
 
 
 class Reporter:

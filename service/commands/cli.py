@@ -17,6 +17,7 @@ from service.processing.compiled_code import isolate_numba_cache
 COMMANDS = {
     "init": "service.commands.init",
     "serve": "service.commands.serve",
+    "bridge": "service.commands.bridge",
     "check-config": "service.commands.init",
     "check-host": "service.commands.doctor",
     "doctor": "service.commands.doctor",

@@ -10,8 +10,8 @@ from typing import NoReturn
 
 from service.acquisition.device_keeper import CONTROL_THREAD_SUFFIX
 from service.base.errors import SettingsError
+from service.base.systemd import configure_logging, service_manager
 from service.commands.options import Config
-from service.daemon.systemd import configure_logging, service_manager
 from service.host.machine import FILES
 from service.processing.worker_process import import_for_workers
 

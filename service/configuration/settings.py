@@ -4,15 +4,13 @@ Parameters are dataclasses beside the code that uses them; this module only nest
 folder of the file. The calibration is not configuration but a measured result in a file of its own.
 """
 
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from tempfile import TemporaryFile
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
-from drivers.files.bounded import read_bounded
 from pipeline.carving import CarvingParameters
 from pipeline.meshing import MeshingParameters
 from pipeline.particle import BodyParameters, PipelineParameters
@@ -20,9 +18,10 @@ from pipeline.uncertainty import QualityParameters
 from pipeline.views.consistency import ConsistencyParameters
 from pipeline.views.quality import ViewsParameters
 from service.acquisition.empty_rig import EmptyRigParameters
-from service.base.errors import SettingsError, StoreError, VolumeModelError
+from service.base.errors import StoreError, VolumeModelError
 from service.base.paths import ConfiguredPath
 from service.base.schema import Live, require_ranges
+from service.base.settings_file import Loc, dotted, load_settings_file
 from service.bundling.window import BundlingSettings
 from service.calibration.verification_limits import VerificationParameters
 from service.configuration.rig_checks import rig_problems
@@ -39,11 +38,6 @@ from service.store import KEEP_RAW
 from service.store.keys import stored_keys
 from service.store.retention import RetentionLimits
 from service.web.settings import ApiSettings, WithoutKeys
-
-MAX_BYTES = 1_000_000
-"""Largest configuration file."""
-MAX_LINE = 20_000
-"""Longest line in characters: a key of many parts takes time by the square of their number."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,40 +127,7 @@ def load_settings(path: Path) -> Settings:
 
     Raises `SettingsError`, which names the file and each wrong field.
     """
-    try:
-        text = read_bounded(path, MAX_BYTES).decode()
-        if any(len(line) > MAX_LINE for line in text.splitlines()):
-            raise ValueError(f"has a line of more than {MAX_LINE} characters")
-        document = tomllib.loads(text)
-    except OSError as err:
-        raise SettingsError(f"{path}: {err.strerror}") from err
-    except ValueError as err:  # neither text nor TOML, or a number beyond all bounds
-        raise SettingsError(f"{path}: {err}") from err
-    except RecursionError as err:
-        raise SettingsError(f"{path}: is nested too deeply") from err
-    try:
-        settings = Settings.model_validate(document, context={"folder": path.resolve().parent})
-    except ValidationError as err:
-        wrong = "; ".join(
-            f"{_name_of(error['loc'])}: {error['msg'].removeprefix('Value error, ')}"
-            for error in err.errors()
-        )
-        raise SettingsError(f"{path}: {wrong}") from None
-    if wrong := "; ".join(_truths_as_numbers(document, settings)):
-        raise SettingsError(f"{path}: {wrong}")
-    return settings
-
-
-def _truths_as_numbers(given: object, made: object, *loc: int | str) -> Iterator[str]:
-    """Yield the settings that are numbers but were given as true or false, which pydantic takes for 1 or 0."""
-    if isinstance(given, bool) and isinstance(made, int | float) and not isinstance(made, bool):
-        yield f"{_name_of(loc)}: must be a number, not {str(given).lower()}"
-    elif isinstance(given, dict):
-        for name, value in given.items():
-            yield from _truths_as_numbers(value, getattr(made, name, None), *loc, name)
-    elif isinstance(given, list) and isinstance(made, tuple | list):
-        for place, (value, each) in enumerate(zip(given, made, strict=False)):
-            yield from _truths_as_numbers(value, each, *loc, place)
+    return load_settings_file(path, Settings, _name_of)
 
 
 def problems(settings: Settings) -> Iterator[str]:
@@ -228,11 +189,11 @@ def shortcomings(settings: Settings) -> Iterator[str]:
                 yield f"mail.{err}"
 
 
-def _name_of(loc: tuple[int | str, ...]) -> str:
+def _name_of(loc: Loc) -> str:
     """Return the name of a field as it is in the file; pydantic adds the backend after `rig`."""
     if loc[0] == "rig" and len(loc) > 1 and loc[1] in BACKENDS:
         loc = (loc[0], *loc[2:])
-    return ".".join(map(str, loc))
+    return dotted(loc)
 
 
 def _write_problem(folder: Path) -> str | None:

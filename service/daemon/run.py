@@ -16,6 +16,7 @@ from socket import socket
 from service.base.addresses import is_loopback
 from service.base.errors import StoreError
 from service.base.status import AcquisitionTarget
+from service.base.systemd import EXTENSION_US, ServiceManager, feed_watchdog, reloading
 from service.configuration.settings import Settings
 from service.daemon.build import build
 from service.daemon.part import Part, Running, started
@@ -24,7 +25,6 @@ from service.daemon.rest.app import create_app
 from service.daemon.running_daemon import Daemon
 from service.daemon.session import Session
 from service.daemon.stopping import StopRequests
-from service.daemon.systemd import EXTENSION_US, ServiceManager, feed_watchdog, reloading
 from service.processing.worker_process import freeze_gc, keep_freed_memory
 from service.store import Store, open_store
 from service.store.accounting import accounting

@@ -17,10 +17,10 @@ from typing import Any
 
 from drivers.files.durable import remove_unfinished, write_file
 from drivers.files.times import utc_now
+from service.base.abandonable import start_abandonable
 from service.base.errors import ServiceError, StoreError
 from service.base.messages import Code, message
 from service.base.status import Checks, trouble_check
-from service.delivery.abandonable import start_abandonable
 from service.delivery.settings import DropFormat, FileDropSettings
 from service.store import Store
 

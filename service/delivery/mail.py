@@ -23,6 +23,7 @@ from typing import Any
 
 from drivers.files.bounded import read_bounded
 from pipeline.frames import rfc3339
+from service.base.abandonable import start_abandonable
 from service.base.addresses import is_host
 from service.base.errors import ServiceError, StoreError
 from service.base.language import Language
@@ -32,7 +33,6 @@ from service.base.paths import ConfiguredPath
 from service.base.schema import require_ranges
 from service.base.status import Checks, trouble_check
 from service.delivery import table
-from service.delivery.abandonable import start_abandonable
 from service.delivery.progress import PAUSES_S, EndpointAnswer, EndpointProgress, next_progress
 from service.delivery.settings import MAX_SECRET_BYTES
 from service.delivery.table import Attempt

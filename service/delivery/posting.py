@@ -25,9 +25,9 @@ from typing import Any
 
 import h11
 
+from service.base.abandonable import start_abandonable
 from service.base.addresses import address_of
 from service.base.errors import ServiceError
-from service.delivery.abandonable import start_abandonable
 from service.delivery.progress import EndpointAnswer
 from service.delivery.settings import WebhookEndpoint, WebhooksSettings
 

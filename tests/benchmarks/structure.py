@@ -55,9 +55,10 @@ Nodes = Sequence[tuple[Path, ast.AST]]
 
 
 def nodes_of(checkout: Path) -> Nodes:
-    """Return all nodes of the packages with the file that each is in."""
+    """Return all nodes of the packages with the file that each is in; a link is no file of theirs."""
     paths = [path for package in PACKAGES for path in sorted((checkout / package).rglob("*.py"))]
-    return [(path, node) for path in paths for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+    own = (path for path in paths if not path.is_symlink())
+    return [(path, node) for path in own for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
 
 
 def mirrored_pairs(nodes: Nodes) -> list[tuple[str, str]]:

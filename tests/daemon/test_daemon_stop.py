@@ -13,12 +13,12 @@ from support.recordings import make_bundle, write_recording
 
 from drivers.factory import Devices, ReplayBackend, build_devices
 from drivers.interfaces import EventSink
+from service.base.systemd import ServiceManager
 from service.configuration.rig_settings import ReplayRigSettings
 from service.configuration.settings import Settings, SpoolSettings, StoreSettings, WorkersSettings
 from service.daemon import build, parts, run, session
 from service.daemon.reloading import Configuration
 from service.daemon.stopping import StopRequests
-from service.daemon.systemd import ServiceManager
 from service.store import open_store
 from service.web.reader_process import ReaderProcess
 

@@ -10,10 +10,10 @@ from typing import Any, cast
 import pytest
 
 from service.base.errors import StoreError
+from service.base.systemd import ServiceManager
 from service.configuration.settings import Settings
 from service.daemon import run
 from service.daemon.stopping import StopRequests
-from service.daemon.systemd import ServiceManager
 from service.store import Store
 
 SETTINGS = cast(Settings, SimpleNamespace(store=SimpleNamespace(dir=Path("state"), keep_raw=1)))

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from service.daemon.log_lines import STDERR, LogLines
+from service.base.log_lines import STDERR, LogLines
 
 log = logging.getLogger(__name__)
 

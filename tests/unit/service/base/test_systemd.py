@@ -14,7 +14,7 @@ from subprocess import PIPE
 import pytest
 from support.eventually import PATIENCE_S
 
-from service.daemon.systemd import JournalFormatter, ServiceManager, feed_watchdog, service_manager
+from service.base.systemd import JournalFormatter, ServiceManager, feed_watchdog, service_manager
 from service.processing.left_bundles import MAX_DEATHS
 
 UNIT = Path(__file__).parents[4] / "systemd/stonefall.service"
@@ -105,7 +105,7 @@ def test_every_line_for_the_journal_has_its_priority():
 
 def test_priorities_are_written_only_when_the_journal_reads_stderr():
     program = (
-        "import os, logging; from service.daemon.systemd import configure_logging;"
+        "import os, logging; from service.base.systemd import configure_logging;"
         "status = os.fstat(2);"
         "configure_logging({'JOURNAL_STREAM': f'{status.st_dev}:{status.st_ino + OFFSET}'});"
         "logging.getLogger('x').warning('dust')"
@@ -124,7 +124,7 @@ def test_priorities_are_written_only_when_the_journal_reads_stderr():
 def test_whoever_does_not_read_the_log_holds_up_nothing():
     """A journal that hung stopped the daemon with the line that filled its pipe; at its end it waited for ever."""
     program = (
-        "import logging; from service.daemon.systemd import configure_logging; configure_logging({});"
+        "import logging; from service.base.systemd import configure_logging; configure_logging({});"
         "[logging.getLogger('x').warning('line %d', i) for i in range(40_000)];"
         "print('written', flush=True);"
         "input()"
@@ -145,7 +145,7 @@ def test_whoever_does_not_read_the_log_holds_up_nothing():
 
 def test_the_end_does_not_wait_for_who_reads_no_log():
     program = (
-        "import logging; from service.daemon.systemd import configure_logging; configure_logging({});"
+        "import logging; from service.base.systemd import configure_logging; configure_logging({});"
         "[logging.getLogger('x').warning('line %d', i) for i in range(9_000)]"
     )
     environment = os.environ | {"PYTHONPATH": str(UNIT.parents[1])}

@@ -1,0 +1,1 @@
+../../deploy/client.py
