@@ -27,9 +27,11 @@ def reached(since: str) -> list[str]:
 
 
 def changed_files(since: str) -> list[str]:
-    """Return the files that differ from a commit."""
+    """Return the files that differ from a commit, and the links to them."""
     asked = (["diff", "--name-only", since], ["ls-files", "--others", "--exclude-standard"])
-    return [line for arguments in asked for line in _git(*arguments).splitlines()]
+    found = {Path(line).resolve(): line for arguments in asked for line in _git(*arguments).splitlines()}
+    links = (path for package in PACKAGES for path in Path(package).rglob("*.py") if path.is_symlink())
+    return [*found.values(), *(path.as_posix() for path in links if path.resolve() in found)]
 
 
 def sources() -> dict[str, str]:

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
-from gate import durations, steps
+from gate import durations, selection, steps
 from gate.durations import Durations, Times, read_reports, tables, too_long
 from gate.selection import reached_by, sources
 from gate.sharing import RigsTogether
@@ -200,3 +200,9 @@ def test_a_change_reaches_what_imports_names_or_starts_it(changed: str, reached:
 def test_the_gate_itself_is_reached(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(REPOSITORY)
     assert reached_by(["deploy/gate/selection.py"], sources()) == ["tests/unit/deploy/test_gate.py"]
+
+
+def test_a_link_changes_with_its_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(REPOSITORY)
+    monkeypatch.setattr(selection, "_git", lambda *asked: "deploy/client.py\n" if asked[0] == "diff" else "")
+    assert selection.changed_files("HEAD") == ["deploy/client.py", "service/bridge/reference_client.py"]
