@@ -10,6 +10,8 @@ from installer import placement, releases, selftest, service
 from installer.host import COMPILED, USER, Host, InstallError
 from installer.releases import Release
 
+BRIDGE = "/etc/stonefall-bridge/bridge.toml"
+"""Where it is, the packages of the bridge are installed as well."""
 PARTS = ("README.md", "deploy", "systemd", "selftest", "service", "drivers", "pipeline", "tests")
 """What goes into a release beside its environment: guides, the installer, what is placed in /etc, the self-test."""
 
@@ -59,7 +61,8 @@ def make_environment(host: Host, bundle: Path, release: Release) -> None:
     host.run("/usr/bin/python3", "-m", "venv", "--system-site-packages", folder)
     pip = (folder / "bin/python", "-m", "pip", "--isolated", "--quiet", "--disable-pip-version-check")
     offline = (*pip, "install", "--no-index", "--find-links", bundle / "wheels")
-    host.run(*offline, "--require-hashes", "--requirement", bundle / "deploy/requirements.lock")
+    lock = "requirements-bridge.lock" if host.path(BRIDGE).exists() else "requirements.lock"
+    host.run(*offline, "--require-hashes", "--requirement", bundle / "deploy" / lock)
     host.run(*offline, "--no-deps", bundle / f"wheels/stonefall-{release.version}-py3-none-any.whl")
 
 

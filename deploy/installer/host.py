@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-USER = "stonefall"
+USER, BRIDGE_USER = "stonefall", "stonefall-bridge"
 COMPILED = "/var/cache/stonefall/numba"
 
 

@@ -18,6 +18,8 @@ from installer.releases import FOLDER, Release
 from installer.store import Copy, Stock
 
 UNIT = "stonefall.service"
+BRIDGE = "stonefall-bridge.service"
+"""Placed, and left disabled: a plant enables it that needs it."""
 READY_S = 90.0
 """Longest wait for readiness after the daemon has started."""
 PATIENCE_S = 20.0

@@ -9,10 +9,10 @@ import sys
 from functools import partial
 
 from installer import placement, releases, service
-from installer.host import USER, Host, InstallError, say
+from installer.host import BRIDGE_USER, USER, Host, InstallError, say
 
 WORDS = "delete all results"
-KEPT = ("/var/lib/stonefall", "/etc/stonefall")
+KEPT = ("/var/lib/stonefall", "/etc/stonefall", "/var/lib/stonefall-bridge", "/etc/stonefall-bridge")
 TAKEN = ("/opt/stonefall", "/var/cache/stonefall", "/run/stonefall")
 
 
@@ -46,9 +46,11 @@ def uninstall(host: Host, purge: str | None) -> None:
         service.require_unlocked_store(host.path(KEPT[0]))
     files = list(placement.placed(host, releases.installed(host)))
     if host.runs_systemd and host.path(f"/etc/systemd/system/{service.UNIT}").exists():
-        host.step(
-            "stop and disable the daemon", lambda: host.run("systemctl", "disable", "--now", service.UNIT)
-        )
+        for unit in (service.BRIDGE, service.UNIT):
+            if host.path(f"/etc/systemd/system/{unit}").exists():
+                host.step(
+                    f"stop and disable {unit}", partial(host.run, "systemctl", "disable", "--now", unit)
+                )
     for target, was_edited in files:
         if was_edited:
             say("kept", f"{target}: it was edited here")
@@ -61,9 +63,11 @@ def uninstall(host: Host, purge: str | None) -> None:
         host.step("systemctl daemon-reload", lambda: host.run("systemctl", "daemon-reload"))
     if purge is None:
         for folder in KEPT:
-            say("kept", f'{folder}; --purge "{WORDS}" removes it')
-    elif host.ask("id", USER).returncode == 0:
-        host.step(f"remove the account {USER}", lambda: host.run("userdel", USER))
+            if host.path(folder).exists():
+                say("kept", f'{folder}; --purge "{WORDS}" removes it')
+    for user in (USER, BRIDGE_USER) if purge is not None else ():
+        if host.ask("id", user).returncode == 0:
+            host.step(f"remove the account {user}", partial(host.run, "userdel", user))
 
 
 if __name__ == "__main__":

@@ -36,3 +36,21 @@ def test_a_failed_build_leaves_nothing_and_the_others_as_they_are(host: Host, tm
     with pytest.raises(InstallError, match="a release never changes"):
         building.build(failing, tmp_path, replace(OLD, commit="another"))
     assert OLD.folder(host).exists()
+
+
+@pytest.mark.parametrize("is_bridged", [False, True])
+def test_packages_of_the_bridge_are_installed_where_it_is_configured(
+    host: Host, tmp_path: Path, is_bridged: bool
+) -> None:
+    if is_bridged:
+        host.path(building.BRIDGE).parent.mkdir(parents=True)
+        host.path(building.BRIDGE).write_text("")
+    ran: list[str] = []
+
+    def execute(command: Sequence[str], _: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
+        ran.append(" ".join(map(str, command)))
+        return subprocess.CompletedProcess(command, 0, "", "")
+
+    building.make_environment(replace(host, execute=execute), tmp_path, NEW)
+    locks = [command.rpartition("/")[2] for command in ran if "--require-hashes" in command]
+    assert locks == ["requirements-bridge.lock" if is_bridged else "requirements.lock"]

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from installer import placement, switch, uninstall
+from installer import placement, service, switch, uninstall
 from installer.host import Host, InstallError
 from support.installed_host import NEW, OLD, UNIT, Script, put
 
@@ -59,6 +59,7 @@ def test_every_file_of_the_repository_has_its_place() -> None:
     targets = [each.target for each in placement.placements(ROOT)]
     assert len(targets) == len(set(targets))
     assert "/etc/systemd/system/stonefall.service.d/networks.conf" in targets
+    assert f"/etc/systemd/system/{service.BRIDGE}" in targets
     assert all(target.startswith("/etc/") for target in targets)
 
 

@@ -18,6 +18,7 @@ from service.base.systemd import JournalFormatter, ServiceManager, feed_watchdog
 from service.processing.left_bundles import MAX_DEATHS
 
 UNIT = Path(__file__).parents[4] / "systemd/stonefall.service"
+BRIDGE = UNIT.with_name("stonefall-bridge.service")
 
 
 @pytest.mark.parametrize("kind", ["path", "abstract"])
@@ -179,6 +180,21 @@ def test_the_unit_is_valid_and_hardened(tmp_path: Path):
     )
 
 
+def test_the_unit_of_the_bridge_is_valid_and_hardened(tmp_path: Path):
+    unit = tmp_path / BRIDGE.name
+    unit.write_text(BRIDGE.read_text().replace("/opt/stonefall/current/bin/stonefall", "/bin/true"))
+    analyze = systemd_tool("systemd-analyze")
+    verified = subprocess.run([analyze, "verify", unit], capture_output=True, text=True)
+    assert (verified.returncode, verified.stdout + verified.stderr) == (0, "")
+    subprocess.run(
+        [analyze, "security", "--offline=true", "--threshold=20", unit], check=True, capture_output=True
+    )
+    found = settings_of(BRIDGE)
+    assert found["Restart"] == "always"
+    assert (found["User"], found["StateDirectory"]) == ("stonefall-bridge", "stonefall-bridge")
+    assert (found["IPAddressDeny"], found["IPAddressAllow"]) == ("any", "localhost")
+
+
 def settings_of(path: Path) -> dict[str, str]:
     """Return the settings of a unit; of those given twice the last."""
     return dict(
@@ -220,7 +236,8 @@ def test_account_and_folders_are_made_as_the_unit_expects(tmp_path: Path):
     subprocess.run([sysusers, f"--root={tmp_path}", snippets / "stonefall.sysusers"], check=True)
     assert "stonefall:" in (tmp_path / "etc/passwd").read_text()
     groups = (tmp_path / "etc/group").read_text().splitlines()
-    assert any(line.startswith("dialout:") and line.endswith(":stonefall") for line in groups)
+    (members,) = (line.rpartition(":")[2].split(",") for line in groups if line.startswith("dialout:"))
+    assert members == ["stonefall", "stonefall-bridge"]
     tmpfiles = systemd_tool("systemd-tmpfiles")
     if os.geteuid() == 0:
         subprocess.run(
