@@ -193,9 +193,10 @@ class Client:
     def key(self) -> str:
         """Return the token as the key file has it now, empty if there is none that can be read."""
         try:
-            return "" if self._key_file is None else self._key_file.read_text(encoding="ascii").strip()
+            key = "" if self._key_file is None else self._key_file.read_text(encoding="ascii").strip()
         except (OSError, ValueError):
             return ""
+        return key if key.isprintable() else ""  # more than a line: no header can have it
 
     def pause(self, seconds: float) -> None:
         """Wait, but not for longer than the key stays the one that was sent last."""

@@ -5,10 +5,10 @@ A second line, an output wired in parallel with the sensor to the cameras' trigg
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from drivers.errors import DeviceFault, GateUnavailableError, told
 from drivers.gates.line_gate import LineGate
@@ -72,20 +72,59 @@ class GpioLines(Protocol):
     def close(self) -> None: ...
 
 
+def _gpiod(wanted_for: str) -> Any:
+    """Import gpiod; raise `GateUnavailableError` without it."""
+    try:
+        import gpiod
+
+        _ = gpiod.line.Value, gpiod.EdgeEvent
+    except (ImportError, AttributeError) as err:  # the system's package may be 1.x, which has other names
+        raise GateUnavailableError(wanted_for, told(DeviceFault.GATE_GPIOD_MISSING)) from err
+    return gpiod
+
+
+class OutputLines(Protocol):
+    """Output lines of a chip; `switch` raises `OSError` when it is gone."""
+
+    def switch(self, on: Mapping[int | str, bool]) -> None:
+        """Switch lines on and off."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class GpiodOutputs:
+    """The output lines of a real chip, off at first; they are no gate's, but this module alone knows gpiod."""
+
+    def __init__(self, chip: str, active_low: Mapping[int | str, bool]) -> None:
+        """Take the lines; raise `OSError` if one cannot be had, `GateUnavailableError` without gpiod."""
+        gpiod = _gpiod(f"contacts {chip}")
+        self._values = gpiod.line.Value
+        output, off = gpiod.line.Direction.OUTPUT, gpiod.line.Value.INACTIVE
+        lines = {
+            line: gpiod.LineSettings(direction=output, output_value=off, active_low=is_low)
+            for line, is_low in active_low.items()
+        }
+        self._request = gpiod.request_lines(chip, config=lines, consumer="stonefall bridge")
+
+    def switch(self, on: Mapping[int | str, bool]) -> None:
+        values = self._values
+        self._request.set_values(
+            {line: values.ACTIVE if is_on else values.INACTIVE for line, is_on in on.items()}
+        )
+
+    def close(self) -> None:
+        self._request.release()
+
+
 class GpiodLines:
     """The lines of a real chip."""
 
     def __init__(self, settings: GpioGateSettings) -> None:
-        try:
-            import gpiod
-
-            self._values = gpiod.line.Value
-            self._rising = gpiod.EdgeEvent.Type.RISING_EDGE
-        except (ImportError, AttributeError) as err:  # the system's package may be 1.x, which has other names
-            raise GateUnavailableError(
-                f"light gate {settings.chip}", told(DeviceFault.GATE_GPIOD_MISSING)
-            ) from err
-        lines: dict[Iterable[int | str] | int | str, gpiod.LineSettings | None] = {
+        gpiod = _gpiod(f"light gate {settings.chip}")
+        self._values = gpiod.line.Value
+        self._rising = gpiod.EdgeEvent.Type.RISING_EDGE
+        lines = {
             settings.line: gpiod.LineSettings(
                 direction=gpiod.line.Direction.INPUT,
                 edge_detection=gpiod.line.Edge.BOTH,

@@ -7,15 +7,8 @@ from typing import Any
 
 from service.base.abandonable import start_abandonable
 from service.base.errors import ServiceError
-from service.bridge.reference_client import (
-    Client,
-    Position,
-    Reporter,
-    Step,
-    follow,
-    keep_position,
-    kept_position,
-)
+from service.bridge.client import BridgeClient
+from service.bridge.reference_client import Position, Reporter, Step, follow, keep_position, kept_position
 
 log = logging.getLogger(__name__)
 
@@ -24,7 +17,7 @@ class BridgeError(ServiceError):
     """Something that the bridge needs is missing, or refused; says what."""
 
 
-async def feed(client: Client, cursor_file: Path, **options: Any) -> AsyncIterator[Step]:
+async def feed(client: BridgeClient, cursor_file: Path, **options: Any) -> AsyncIterator[Step]:
     """Yield the steps of a feed; one is delivered when the next is asked for, and only then its position is stored.
 
     A step has items, a gap, or another history. After a kill, or an error while it was delivered, it comes again.
@@ -41,16 +34,18 @@ async def feed(client: Client, cursor_file: Path, **options: Any) -> AsyncIterat
         return next(steps)
 
     delivered: Position | None = None
-    while True:
-        try:
+    try:
+        while True:
             step = await start_abandonable(f"follow {cursor_file.stem}", advance, delivered)
-        except OSError as err:  # of the file: the client has none
-            raise BridgeError(f"{cursor_file}: {err.strerror}") from err
-        reporter.note(step)
-        delivered = None
-        if step.trouble is None and step.position != position:
-            yield step
-            position = delivered = step.position
+            reporter.note(step)
+            delivered = None
+            if step.trouble is None and step.position != position:
+                yield step
+                position = delivered = step.position
+    except OSError as err:  # of the file: the client has none
+        raise BridgeError(f"{cursor_file}: {err.strerror}") from err
+    finally:
+        client.abandon()
 
 
 def _position(cursor_file: Path) -> Position:

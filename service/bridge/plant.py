@@ -11,9 +11,10 @@ from typing import Any
 from urllib.parse import quote
 
 from service.base.abandonable import start_abandonable
+from service.bridge.client import BridgeClient
 from service.bridge.feeds import BridgeError, feed
 from service.bridge.plant_state import PlantAlarm, PlantState, alarms_of, state_of
-from service.bridge.reference_client import Client, ClientError, Step
+from service.bridge.reference_client import ClientError, Step
 
 log = logging.getLogger(__name__)
 
@@ -33,17 +34,6 @@ class OrderRefusedError(BridgeError):
         self.kind = kind
 
 
-class TokenClient(Client):
-    """A client with a token instead of a key file."""
-
-    def __init__(self, url: str, token: str) -> None:
-        super().__init__(url)
-        self._token = token
-
-    def key(self) -> str:
-        return self._token
-
-
 class Plant:
     """The daemon behind an address. `keep` it running; call it on the event loop."""
 
@@ -55,6 +45,8 @@ class Plant:
         self._told_trouble: str | None = None
         self.looked_s = time.monotonic()
         """Time of the last look, whatever came of it, by the monotonic clock."""
+        self.n_answers = 0
+        """Looks that the daemon has answered: a heartbeat that stops when the state is not fresh."""
 
     @property
     def state(self) -> PlantState:
@@ -99,7 +91,7 @@ class Plant:
 
     async def order(self, path: str, body: Mapping[str, Any], token: str | None = None) -> dict[str, Any]:
         """Post an order, repeated under one idempotency key while there is no answer; return the daemon's answer."""
-        client = self._client() if token is None else TokenClient(self._url, token)
+        client = self._client(token)
 
         def post() -> dict[str, Any]:
             try:
@@ -111,7 +103,10 @@ class Plant:
             return await start_abandonable(f"order {path}", post)
         except ClientError as err:
             raise OrderRefusedError(str(err), err.kind) from err
+        except ValueError as err:  # no HTTP header can have it
+            raise OrderRefusedError("the token is none of a key", "unauthorized") from err
         finally:
+            client.abandon()
             self._poll.set()
 
     async def keep(self) -> None:
@@ -120,24 +115,29 @@ class Plant:
         overview_alarms: object = None
         alarms: tuple[PlantAlarm, ...] = ()
 
-        def look() -> tuple[PlantState, object, tuple[PlantAlarm, ...]]:
+        def look(client: BridgeClient) -> tuple[PlantState, object, tuple[PlantAlarm, ...]]:
             overview = client.get("/overview", ANSWER_S)
             told = overview.get("alarms")
             now = alarms if told == overview_alarms else alarms_of(client.get("/alarms", ANSWER_S))
             return state_of(overview, now), told, now
 
-        while True:
-            try:
-                async with asyncio.timeout(ANSWER_S):
-                    state, overview_alarms, alarms = await start_abandonable("overview", look)
-            except (ClientError, TimeoutError, ValueError) as err:
-                state = PlantState(trouble=str(err) or f"no answer within {ANSWER_S:g} s")
-                client = self._client()  # the thread of the one before may have it still
-            self._show(state)
-            self.looked_s = time.monotonic()
-            self._poll.clear()
-            with suppress(TimeoutError):
-                await asyncio.wait_for(self._poll.wait(), POLL_S)
+        try:
+            while True:
+                try:
+                    async with asyncio.timeout(ANSWER_S):
+                        state, overview_alarms, alarms = await start_abandonable("overview", look, client)
+                except (ClientError, TimeoutError, ValueError) as err:
+                    state = PlantState(trouble=str(err) or f"no answer within {ANSWER_S:g} s")
+                    client.abandon()  # its thread may have it still
+                    client = self._client()
+                self.n_answers += state.daemon_answers
+                self._show(state)
+                self.looked_s = time.monotonic()
+                self._poll.clear()
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(self._poll.wait(), POLL_S)
+        finally:
+            client.abandon()
 
     def _show(self, state: PlantState) -> None:
         if state.trouble != self._told_trouble:
@@ -148,5 +148,5 @@ class Plant:
             self._changed = asyncio.Event()
         self._state = state
 
-    def _client(self) -> Client:
-        return Client(self._url, self._key_file)
+    def _client(self, token: str | None = None) -> BridgeClient:
+        return BridgeClient(self._url, self._key_file, token)

@@ -1,17 +1,23 @@
 """Run the bridge: the plant's state, and beside it each outlet, which is started again whenever it fails."""
 
 import asyncio
+import fcntl
 import logging
+import os
 import signal
 import time
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 
+from drivers.errors import DriverError
 from service.base.errors import ServiceError, UsageError
 from service.base.systemd import ServiceManager, feed_watchdog
+from service.bridge.client import BridgeClient
 from service.bridge.plant import ANSWER_S, POLL_S, Plant
-from service.bridge.settings import BridgeSettings
+from service.bridge.settings import OUTLETS, BridgeSettings
 
 log = logging.getLogger(__name__)
 
@@ -31,7 +37,7 @@ def outlets(settings: BridgeSettings) -> Mapping[str, Outlet]:
     found = {}
     for name in settings.outlets:
         try:
-            module = import_module(f"service.bridge.{name}.outlet")
+            module = import_module(OUTLETS[name])
         except ModuleNotFoundError as err:
             raise UsageError(
                 f"[{name}] needs the extra [bridge], which is not installed ({err}):"
@@ -42,11 +48,31 @@ def outlets(settings: BridgeSettings) -> Mapping[str, Outlet]:
 
 
 async def run(settings: BridgeSettings, manager: ServiceManager) -> None:
-    """Serve until SIGTERM or SIGINT; raise `UsageError` if an outlet's package is missing."""
+    """Serve until SIGTERM or SIGINT; raise `UsageError` without an outlet's package, or if another bridge runs."""
     wanted = outlets(settings)
     settings.dir.mkdir(parents=True, exist_ok=True)
+    with _locked(settings.dir):
+        await _serve(settings, wanted, manager)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Have the folder of the cursors to oneself; raise `UsageError` if another bridge has it."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError:
+        raise UsageError(f"dir: {folder} is that of a bridge that runs") from None
+    finally:
+        os.close(descriptor)
+
+
+async def _serve(settings: BridgeSettings, wanted: Mapping[str, Outlet], manager: ServiceManager) -> None:
     daemon = settings.daemon
     plant = Plant(daemon.url, daemon.key_file, settings.dir, daemon.consumer)
+    if daemon.key_file is not None and not BridgeClient(daemon.url, daemon.key_file).key():
+        log.warning("daemon.key_file: %s cannot be read: the daemon is asked without a key", daemon.key_file)
     stopping = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, stopping.set)
@@ -85,11 +111,13 @@ async def supervise(name: str, outlet: Outlet, plant: Plant) -> None:
         try:
             await outlet(plant)
             log.error("%s has ended by itself", name)
-        except (ServiceError, OSError) as err:
+        except (DriverError, ServiceError, OSError) as err:
             log.error("%s: %s", name, err)
         except Exception:
             log.exception("%s failed", name)
-        n_failed = 0 if time.monotonic() - started_s > LASTED_S else n_failed + 1
-        pause_s = PAUSES_S[min(n_failed, len(PAUSES_S)) - 1] if n_failed else PAUSES_S[0]
+        if time.monotonic() - started_s > LASTED_S:
+            n_failed = 0
+        pause_s = PAUSES_S[min(n_failed, len(PAUSES_S) - 1)]
+        n_failed += 1
         log.info("%s is started again in %g s", name, pause_s)
         await asyncio.sleep(pause_s)

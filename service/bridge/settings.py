@@ -9,15 +9,21 @@ from urllib.parse import urlsplit
 from pydantic import BaseModel, ConfigDict, model_validator
 
 from service.base.addresses import is_host
-from service.base.ids import ID_WORDS, NEW_ID
 from service.base.paths import ConfiguredPath
 from service.base.settings_file import load_settings_file
-from service.bridge.contacts.settings import ContactsSettings
+from service.bridge.contacts.settings import GpioSettings, ModbusSettings
 from service.bridge.mqtt.settings import MqttSettings
 from service.bridge.opcua.settings import OpcUaSettings
 
-OUTLETS = ("opcua", "mqtt", "contacts")
-"""Tables of which one at least is there; `service.bridge.NAME.outlet` has the coroutine function `run` of each."""
+OUTLETS = {
+    "opcua": "service.bridge.opcua.outlet",
+    "mqtt": "service.bridge.mqtt.outlet",
+    "modbus": "service.bridge.contacts.modbus",
+    "gpio": "service.bridge.contacts.gpio",
+}
+"""Tables of which one at least is there, and the module with the coroutine function `run` of each."""
+CONSUMER = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,39}")
+"""Beginning of the names of consumers, `NEW_ID` with room for an outlet's name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,11 +39,21 @@ class DaemonSettings:
     )
 
     def __post_init__(self) -> None:
-        parts = urlsplit(self.url)
-        if parts.scheme not in ("http", "https") or not is_host(parts.hostname or ""):
+        if not _is_url(self.url):
             raise ValueError(f"url must be an address such as http://127.0.0.1:8080, not {self.url}")
-        if self.consumer is not None and not re.match(NEW_ID, self.consumer):
-            raise ValueError(f"consumer {ID_WORDS}")
+        if self.consumer is not None and not CONSUMER.fullmatch(self.consumer):
+            raise ValueError(
+                f"consumer must be 1 to 40 letters of A to Z, digits, _ . or -, not {self.consumer}"
+            )
+
+
+def _is_url(text: str) -> bool:
+    try:
+        parts = urlsplit(text)
+        _ = parts.port
+    except ValueError:
+        return False
+    return parts.scheme in ("http", "https") and is_host(parts.hostname or "")
 
 
 class BridgeSettings(BaseModel):
@@ -50,7 +66,8 @@ class BridgeSettings(BaseModel):
     daemon: DaemonSettings = DaemonSettings()
     opcua: OpcUaSettings | None = None
     mqtt: MqttSettings | None = None
-    contacts: ContactsSettings | None = None
+    modbus: ModbusSettings | None = None
+    gpio: GpioSettings | None = None
 
     @model_validator(mode="after")
     def _has_an_outlet(self) -> Self:

@@ -19,6 +19,7 @@ from drivers.files.times import utc_now
 from pipeline.frames import rfc3339
 from service.base.errors import StoreError
 from service.base.status import AcquisitionState, CheckStatus, HealthCheck
+from service.bridge.plant_state import alarms_of, state_of
 from service.daemon.overview import overviews
 from service.daemon.overview.overview_rows import Rows, overview_rows
 from service.health.alarms.alarms import Alarms
@@ -351,3 +352,29 @@ async def test_figures_of_many_stones_are_asked_for_less_often(
         while len(asked_s) < 2:
             await overview_of(client)
     assert asked_s[1] - asked_s[0] >= 0.1 / overviews.FIGURES_SHARE
+
+
+async def test_the_bridge_understands_it(
+    client: httpx.AsyncClient, store: Store, session: int, alarms: Alarms
+) -> None:
+    """What control systems see is read from it: a field that is renamed here would be missed there."""
+    alarms.update({"trigger_line": HealthCheck(status=CheckStatus.FAIL, detail="no image")})  # at once
+    for lot in ("L1", "L2"):
+        await store.write(save_product, "basalt-8-16", PRODUCT, "test")
+        await store.write(open_lot, LotDefinition(lot=lot), "basalt-8-16", None, "test")
+        await add(store, session, len(lot) + (lot == "L2"), STONE)
+        if lot == "L1":
+            await store.write(close_lot, lot, None, "test")
+    await figures_when(client, lambda found: found is not None and found["lot"] == "L2")
+    overview = await overview_of(client)
+    (alarm,) = (await client.get("/alarms")).json()["items"]
+    state = state_of(overview, alarms_of({"items": [alarm]}))
+    assert (state.lot, state.product, state.product_title) == ("L2", "basalt-8-16", "8/16 basalt")
+    assert (state.n_stones, state.measured, state.last_seq, state.last_lot) == (1, 2, 2, "L1")
+    assert (state.verdict, state.acquisition) == ("insufficient", overview["acquisition"]["state"])
+    assert state.d50_mm is not None
+    assert state.d50_mm.value == overview["figures"]["d50_mm"]["value"]
+    assert set(state.components) == {"gate", "rig", *(camera["id"] for camera in overview["cameras"])}
+    assert [(each.id, each.check, each.state) for each in state.alarms] == [
+        (alarm["id"], "trigger_line", "unacknowledged")
+    ]

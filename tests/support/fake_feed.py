@@ -77,7 +77,7 @@ class FakeFeed:
         return [self.item(seq) for seq in range(after + 1, min(self.last_seq, after + limit) + 1)]
 
     def answer(self, path: str, query: Mapping[str, list[str]]) -> tuple[int, dict[str, Any]]:
-        if path != "/results":
+        if path in self.documents or path != "/results":
             return 200, self.documents.get(path, {})
         after = int(query["after"][0])
         ends = {"first_seq": self.first_seq, "last_seq": self.last_seq}

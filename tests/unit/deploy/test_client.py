@@ -226,7 +226,7 @@ def test_a_wrong_key_is_told_again_and_again_until_there_is_another(
     said: list[str] = []
     reporter = client.Reporter(client.Position(), said.append)
     steps = client.follow(connect(feed, key_file), client.Position(), wait_s=0, pauses=PAUSES)
-    for key in (None, "wrong", "wrong"):
+    for key in (None, "wrong", "two\nlines"):
         if key is not None:
             key_file.write_text(f"{key}\n")
         reporter.note(next(steps))
