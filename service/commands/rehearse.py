@@ -20,6 +20,7 @@ from service.commands.options import Json, with_options
 from service.commands.rehearsal.day import Day, merged, scripts
 from service.commands.rehearsal.expected import as_text
 from service.commands.rehearsal.recordings import RehearsedRecording, rehearsed_recording
+from service.commands.rehearsal.rehearsed_bridge import rehearsed_bridge
 from service.commands.rehearsal.rehearsed_daemon import HOST, RehearsedDaemon, free_port, is_free
 from service.commands.rehearsal.rigs import ReplayedRig, Rig, SimulatedGigeRig
 
@@ -48,6 +49,8 @@ class RehearseOptions:
     """Time for clients to read the last results, before the daemon ends."""
     language: Language = Language.ENGLISH
     """Language of the alarms' causes and actions."""
+    is_bridge: Annotated[bool, typer.Option("--bridge")] = False
+    """Bridge it as well to OPC UA, MQTT and Modbus TCP, as far as their packages are there."""
     as_json: Json = False
     """Print what a client should have seen as JSON; the rest goes to stderr."""
 
@@ -100,6 +103,10 @@ def command(options: RehearseOptions) -> None:
         daemon.start()
         rig.rest(daemon)
         say(f"follow http://{HOST}:{port}/api/v1/results with your client")
+        if options.is_bridge:
+            bridge = rehearsed_bridge(where, f"http://{HOST}:{port}")
+            for outlet, address in running.enter_context(bridge).items():
+                say(f"{outlet}: {address}")
         expected = Day(chosen, daemon, rig, say, options.language).play()
         say("the day is over; a correct client has seen:")
         typer.echo(json.dumps(asdict(expected)) if options.as_json else as_text(expected))
