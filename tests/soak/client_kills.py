@@ -1,10 +1,10 @@
-"""Kill the daemon or the reference client again and again while stones fall, and compare what both have in the end.
+"""Kill the daemon or its client again and again while stones fall, and compare what both have in the end.
 
-    .venv/bin/python tests/soak/client_kills.py [--kills 100] [--seed 0]
+    .venv/bin/python tests/soak/client_kills.py [--kills 100] [--seed 0] [--bridge]
 
-A recording is replayed in a loop, ten stones a second; `deploy/client.py` follows. One of the two is killed (SIGKILL)
-at random moments, also while it starts, and started again at once. In the end the client's store must have each result
-of the daemon once, with all its fields, and nothing else.
+A recording is replayed in a loop, ten stones a second; `deploy/client.py` follows, or an outlet of the bridge. One of
+the two is killed (SIGKILL) at random moments, also while it starts, and started again at once. In the end the client's
+store must have each result of the daemon once, with all its fields, and nothing else.
 """
 
 import argparse
@@ -25,6 +25,7 @@ if __package__ is None:
 from soak.kills import all_results
 from support.daemon_process import PATIENCE_S, DaemonProcess, free_port
 from support.eventually import eventually
+from support.recording_outlet import DATABASE, start_bridge
 from support.reference_client import start_client
 from support.small_recording import write_small_recording
 
@@ -47,16 +48,19 @@ class Tally:
     kills: dict[str, int]
 
 
-def killed_again_and_again(folder: Path, n_kills: int, seed: int = 0) -> Tally:
+def killed_again_and_again(folder: Path, n_kills: int, seed: int = 0, *, is_bridge: bool = False) -> Tally:
     """Run the bench; fails when the client lacks a result, has one twice, or has another."""
     dice = random.Random(seed)  # noqa: S311 - nothing secret
-    recording, database = folder / "recording", folder / "stones.sqlite"
+    recording, database = folder / "recording", folder / DATABASE
     write_small_recording(recording, n_stones=8)
     port = free_port()
     kills = {"daemon": 0, "client": 0}
 
     def follow() -> Any:
-        return start_client(f"http://127.0.0.1:{port}", database, "--consumer", "mes", "--fields", "all")
+        url = f"http://127.0.0.1:{port}"
+        if is_bridge:
+            return start_bridge(url, folder)
+        return start_client(url, database, "--consumer", "mes", "--fields", "all")
 
     client = follow()
     try:
@@ -81,7 +85,7 @@ def killed_again_and_again(folder: Path, n_kills: int, seed: int = 0) -> Tally:
                 results = all_in_the_end(daemon)
                 wait_for_all(database, len(results))
                 client.send_signal(2)
-                assert client.wait(PATIENCE_S) == 130
+                assert client.wait(PATIENCE_S) == (0 if is_bridge else 130)
                 tally = Tally(results, stored(database), kills)
                 break
     finally:
@@ -129,9 +133,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--bridge", action="store_true")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="client-kills-") as folder:
-        tally = killed_again_and_again(Path(folder), arguments.kills, arguments.seed)
+        tally = killed_again_and_again(
+            Path(folder), arguments.kills, arguments.seed, is_bridge=arguments.bridge
+        )
     kills = ", ".join(f"{n} of the {name}" for name, n in tally.kills.items())
     print(f"{arguments.kills} kills ({kills}): {len(tally.stored)} results, each once")  # noqa: T201
 
