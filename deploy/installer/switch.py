@@ -123,9 +123,7 @@ def activate(host: Host, release: Release) -> bool:
                 if done.returncode != 0:  # such as sysctl in a container: the daemon works without
                     say("failed", f"{' '.join(command)}: {done.stderr.strip().splitlines()[-1:]}")
     if (changed or placed) and not host.dry_run and host.runs_systemd:
-        host.ask(
-            "systemctl", "try-restart", service.BRIDGE
-        )  # where it runs: of the release that is current now
+        host.ask("systemctl", "try-restart", service.BRIDGE)  # where it runs: now of this release
     return changed or bool(placed)
 
 

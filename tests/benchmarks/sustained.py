@@ -2,13 +2,14 @@
 
 Run: .venv/bin/python tests/benchmarks/sustained.py [--rates 4,10,20] [--seconds 60] [--burst 20] [--burst-seconds 10]
      [--size-mm 25] [--stones 20] [--keep-raw 200] [--record 0] [--body estimate] [--slots 2] [--queue 100]
-     [--recording DIR] [--json]
+     [--recording DIR] [--bridge] [--json]
 
 Stones are rendered first; with `--recording` they are kept there for the next run. `--record` also records that many
-bundles live. Stones fall in rounds of 60, a little closer than the rate says, with an exposure of the empty rig before
-each round. A trigger's time is when it appeared in the store, or earlier if the recording's own pace says so; a result
-is durable when it appears in the store. Exits with 1 if a stone is lost at up to ten a second or in the burst, results
-are later than the goal, or a call in the daemon holds the interpreter's lock for more than 20 ms.
+bundles live; with `--bridge` the bridge runs beside, with all outlets whose packages are there. Stones fall in rounds
+of 60, a little closer than the rate says, with an exposure of the empty rig before each round. A trigger's time is when
+it appeared in the store, or earlier if the recording's own pace says so; a result is durable when it appears in the
+store. Exits with 1 if a stone is lost at up to ten a second or in the burst, results are later than the goal, or a call
+in the daemon holds the interpreter's lock for more than 20 ms.
 """
 
 import argparse
@@ -21,7 +22,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,7 @@ from drivers.files.recording import Recording, open_recording, read_bundle
 from pipeline.synthesis.bundles import (
     TRIGGER_DELAY_NS,
 )
+from service.commands.rehearsal.rehearsed_bridge import rehearsed_bridge
 
 SEED = 12
 REQUIRED_HZ = 10.0
@@ -117,6 +119,7 @@ def main() -> int:
     parser.add_argument("--slots", type=int, default=2)
     parser.add_argument("--queue", type=int, default=100, help="bundles that may wait")
     parser.add_argument("--recording", type=Path)
+    parser.add_argument("--bridge", action="store_true")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--out", type=Path, help="JSON of all runs, which tests/benchmarks/plots.py draws")
     arguments = parser.parse_args()
@@ -180,14 +183,17 @@ def played(recording: Recording, name: str, rate_hz: float, seconds: float, argu
             command=(sys.executable, LOCK_PROBE, folder / LOCK_WAITS),
         ) as daemon:
             daemon.hear("READY=1")
+            url = daemon.url("").removesuffix("/api/v1")
+            bridge = rehearsed_bridge(folder, url) if arguments.bridge else nullcontext()
             (folder / LOCK_WAITS).touch()
             watched, is_over = Watched(), threading.Event()
             store = folder / "state/results.sqlite"
             watching = threading.Thread(target=watched.look, args=(store, is_over))
             watching.start()
             try:
-                samples = watch(daemon, seconds, arguments.record)
-                daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0, timeout_s=DRAIN_S)
+                with bridge:
+                    samples = watch(daemon, seconds, arguments.record)
+                    daemon.wait_for("/accounting", lambda now: now["in_progress"] == 0, timeout_s=DRAIN_S)
             finally:
                 time.sleep(10 * LOOK_S)
                 is_over.set()
