@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -92,22 +92,15 @@ class Plant:
     async def order(self, path: str, body: Mapping[str, Any], token: str | None = None) -> dict[str, Any]:
         """Post an order, repeated under one idempotency key while there is no answer; return the daemon's answer."""
         client = self._client(token)
-
-        def post() -> dict[str, Any]:
-            try:
-                return client.post(path, body, patience_s=ORDER_S)
-            finally:
-                client.close()
-
         try:
-            return await start_abandonable(f"order {path}", post)
-        except ClientError as err:
-            raise OrderRefusedError(str(err), err.kind) from err
-        except ValueError as err:  # no HTTP header can have it
-            raise OrderRefusedError("the token is none of a key", "unauthorized") from err
+            return await _asked(client, path, lambda: client.post(path, body, patience_s=ORDER_S))
         finally:
-            client.abandon()
             self._poll.set()
+
+    async def get(self, path: str, **query: object) -> dict[str, Any]:
+        """Return the document at a path; raise `OrderRefusedError`, whose cause has the problem."""
+        client = self._client()
+        return await _asked(client, path, lambda: client.get(path, ANSWER_S, **query))
 
     async def keep(self) -> None:
         """Keep the state up to date, until it is cancelled."""
@@ -150,3 +143,15 @@ class Plant:
 
     def _client(self, token: str | None = None) -> BridgeClient:
         return BridgeClient(self._url, self._key_file, token)
+
+
+async def _asked(client: BridgeClient, path: str, ask: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Ask on a thread of its own, and close the client."""
+    try:
+        return await start_abandonable(f"ask {path}", ask)
+    except ClientError as err:
+        raise OrderRefusedError(str(err), err.kind) from err
+    except ValueError as err:  # no HTTP header can have it
+        raise OrderRefusedError("the token is none of a key", "unauthorized") from err
+    finally:
+        client.abandon()

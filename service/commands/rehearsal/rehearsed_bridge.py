@@ -18,7 +18,7 @@ from service.commands.rehearsal.rehearsed_daemon import HOST, SERVE, RehearsalEr
 
 START_S, STOP_S, POLL_S = 60.0, 20.0, 0.1
 BROKER = "mosquitto"
-PACKAGES = {"opcua": "asyncua", "mqtt": "aiomqtt", "modbus": None}
+PACKAGES = {"opcua": "asyncua", "mqtt": "paho", "modbus": None}
 """Outlets that a rehearsal can have, and the package that each needs; lines of a chip are not among them."""
 SCHEMES = {"opcua": "opc.tcp", "mqtt": "mqtt", "modbus": "modbus"}
 

@@ -139,6 +139,16 @@ async def test_orders_are_given_once_with_the_key_of_who_gives_them(daemon: Fake
     assert daemon.bodies[0] == {"lot": "L-8", "product": "basalt-8-16", "closes": "L-7"}
 
 
+async def test_any_document_can_be_asked_for(daemon: FakeFeed, tmp_path: Path) -> None:
+    plant = Plant(daemon.url, None, tmp_path, None)
+    daemon.documents["/products"] = {"items": []}
+    assert await plant.get("/products", limit=5) == {"items": []}
+    daemon.next_answers.append(Refusal(403, "forbidden"))
+    with pytest.raises(OrderRefusedError, match="403 forbidden"):
+        await plant.get("/products")
+    assert [path for _, path, _ in daemon.asked] == ["/products?limit=5", "/products?"]
+
+
 async def test_a_refusal_says_why(daemon: FakeFeed, tmp_path: Path) -> None:
     plant = Plant(daemon.url, None, tmp_path, None)
     daemon.next_answers.append(Refusal(409, "lot-conflict"))
