@@ -28,7 +28,7 @@ PAGE = 1000
 """Results that are asked for at a time, the most that the daemon gives."""
 ANSWER_S = 30.0
 """Longest wait for an answer, beyond the time that a long poll may take."""
-FEEDS = {"results": ("id", "outcome"), "events": ("type", "subject")}
+FEEDS = {"results": ("id", "outcome"), "events": ("type",)}
 """The feeds that can be followed, and what each of their items has."""
 
 
