@@ -16,6 +16,7 @@ from drivers.gige_simulator.camera import SimulatedCamera
 from drivers.gige_simulator.rig import RigDesign, SimulatedRig
 from drivers.gige_simulator.sources import SIGHT_MS
 from pipeline.frames import CameraId
+from service.configuration.camera_wire import BUFFER_BYTES
 
 SPACING_S = 0.27
 
@@ -70,6 +71,8 @@ def simulated_rig(
     vendors: tuple[str, ...] = (),
     timer_ms: float = 0.0,
     gate_places: int = 8,
+    uplink_bytes_s: float | None = None,
+    uplink_buffer_bytes: int = BUFFER_BYTES,
 ) -> Iterator[SimulatedRig]:
     """The belt stands until it is started."""
     design = RigDesign(
@@ -83,6 +86,8 @@ def simulated_rig(
         vendors=vendors,
         timer_ms=timer_ms,
         gate_places=gate_places,
+        uplink_bytes_s=uplink_bytes_s,
+        uplink_buffer_bytes=uplink_buffer_bytes,
     )
     with SimulatedRig(design, open_recording(recording)) as rig:
         yield rig

@@ -66,13 +66,20 @@ def write_small_recording(
     n_stones: int,
     n_backgrounds: int = 2,
     dimmed: Mapping[CameraId, float] = MappingProxyType({}),
+    pulse_ms: float | None = None,
 ) -> None:
-    """Spheres falling through the rig as built, after some exposures of the empty rig; then the `dimmed` go dark."""
+    """Spheres falling through the rig as built, after some exposures of the empty rig; then the `dimmed` go dark.
+
+    `pulse_ms`: how long each closes the beam, if not for as long as one that falls from rest.
+    """
     with recording_of(path, thumbnail_rig(), MADE_BY) as writer:
         for number in range(1, n_backgrounds + 1):
             writer.add(_empty(number))
         for number in range(n_backgrounds + 1, n_backgrounds + n_stones + 1):
             bundle = _sphere(number)
+            if pulse_ms is not None:
+                short = replace(bundle.trigger, pulse_width_ns=round(pulse_ms * 1e6))
+                bundle = replace(bundle, trigger=short)
             frames = {
                 camera: replace(frame, image=np.rint(frame.image * dimmed.get(camera, 1)).astype(np.uint8))
                 for camera, frame in bundle.frames.items()
