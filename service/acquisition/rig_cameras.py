@@ -42,7 +42,10 @@ REOPENED_FOR: Mapping[str, str] = {
 }
 """Reasons of repeatedly missing frames for which the camera is opened anew, with what the operator is told."""
 MAX_MISSES = 3
-"""Triggers in a row without an image after which a camera is opened anew although it answers."""
+"""Triggers in a row without an image after which a camera is opened anew although it answers.
+
+Not where its images come too late, as on a machine that is overloaded: opening cameras would only add to the load.
+"""
 BLIND_TRIGGERS = 3
 """Triggers in a row without any image from which the line between gate and cameras is taken to be broken."""
 MAX_SKEW_US = 20.0
@@ -61,6 +64,7 @@ class _RigCamera:
     received_s: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
     latencies_ms: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
     misses: int = 0  # triggers in a row
+    frames_then: int = 0  # before them, or before the latest `MAX_MISSES` of them
     last_miss_reason: str = ""
     counters: CameraCounters = field(default_factory=CameraCounters)  # since the rig was last armed
     earlier: Counter[str] = field(default_factory=Counter)  # the same, summed over the armed periods before
@@ -181,7 +185,7 @@ class RigCameras:
         for name, camera in self._cameras.items():
             is_armed = camera.keeper.state is DeviceState.ARMED
             if (frame := bundle.frames.get(name)) is not None:
-                camera.misses = 0
+                camera.misses, camera.frames_then = 0, camera.frames
                 camera.latencies_ms.append((frame.received_ns - bundle.trigger.received_ns) / 1e6)
             elif is_armed and bundle.missing[name] not in NOT_CAUSED_BY_CAMERA:
                 camera.last_miss_reason = bundle.missing[name]
@@ -197,8 +201,11 @@ class RigCameras:
             camera.misses += 1
             if camera.misses == MAX_MISSES:
                 log.warning("%s camera=%s", _miss_warning(camera), name)
-            if camera.misses % MAX_MISSES == 0 and camera.last_miss_reason in REOPENED_FOR:
-                self._report_lost(name, REOPENED_FOR[camera.last_miss_reason])
+            if camera.misses % MAX_MISSES == 0:
+                comes_late = camera.frames > camera.frames_then
+                camera.frames_then = camera.frames
+                if camera.last_miss_reason in REOPENED_FOR and not comes_late:
+                    self._report_lost(name, REOPENED_FOR[camera.last_miss_reason])
 
     def statuses(self) -> list[CameraStatus]:
         """Return state, and counters since the start, of all cameras, in the order of the rig."""

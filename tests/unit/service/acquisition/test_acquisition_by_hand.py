@@ -1,5 +1,7 @@
 """What is told late, in numbers or never, to an acquisition whose devices and clock are the test's."""
 
+from collections.abc import Collection
+
 import numpy as np
 import pytest
 from support.acquisition import CAMERAS, DELAY_NS, UTC, AcquisitionBench, armed
@@ -7,6 +9,8 @@ from support.acquisition import CAMERAS, DELAY_NS, UTC, AcquisitionBench, armed
 from drivers.factory import Devices
 from drivers.interfaces import CameraLost, CameraVitals, EventSink, TriggersLost
 from pipeline.frames import BundleKind, CameraId, Frame, GateCount, Trigger
+from service.acquisition import device_keeper
+from service.acquisition.rig_cameras import MAX_MISSES
 from service.base.status import AcquisitionState, AcquisitionTarget
 
 
@@ -50,18 +54,21 @@ class HandBench(AcquisitionBench):
         assert self.gate.sink is not None
         self.gate.sink.deliver(Trigger(sequence=sequence, received_ns=at_ns, device_ns=at_ns, utc=UTC))
 
-    def expose(self, number: int) -> None:
+    def expose(
+        self, number: int, cameras: Collection[CameraId] = CAMERAS, exposed_ns: int | None = None
+    ) -> None:
         image = np.full(
             (4, 4), number, np.uint8
         )  # an equal one would be refused as that of a camera that hangs
-        for camera, device in self.cameras.items():
+        for camera in cameras:
+            device = self.cameras[camera]
             assert device.sink is not None
             device.sink.deliver(
                 Frame(
                     camera=camera,
                     image=image,
                     frame_id=number,
-                    device_ns=self.now_ns,
+                    device_ns=self.now_ns if exposed_ns is None else exposed_ns,
                     received_ns=self.now_ns,
                 )
             )
@@ -178,3 +185,59 @@ async def test_what_the_gate_tells_late_or_not_at_all_is_a_warning() -> None:
         await bench.until(lambda: len(bench.bundles) == 4)  # two of the three were seen
         assert [bool(bundle.frames) for bundle in bench.bundles] == [True, True, True, False]
         assert len({bundle.name for bundle in bench.bundles}) == acquisition.counters.triggers == 4
+
+
+async def fall(
+    bench: HandBench, number: int, *, prompt: Collection[CameraId], late: Collection[CameraId]
+) -> None:
+    """One stone, of which some cameras show images in time, some too late, and the others none."""
+    bench.trigger(number, bench.now_ns)
+    await bench.until(lambda: ("trigger", f"{number:08d}") in bench.told)
+    bench.now_ns += DELAY_NS
+    exposed_ns = bench.now_ns
+    bench.expose(number, prompt)
+    bench.now_ns += 2 * DELAY_NS  # the deadline has passed
+    await bench.until(lambda: len(bench.bundles) == number)
+    n_frames = sum(camera.frames for camera in bench.acquisition.cameras.statuses())
+    bench.expose(number, late, exposed_ns)
+    await bench.until(
+        lambda: sum(c.frames for c in bench.acquisition.cameras.statuses()) == n_frames + len(late)
+    )
+
+
+async def test_cameras_whose_images_come_too_late_are_not_opened_anew() -> None:
+    """An overloaded machine would be busy with opening them for ever: 14 of 16 cameras were lost, the rig held."""
+    bench = HandBench()
+    async with armed(bench) as acquisition:
+        await fall(bench, 1, prompt=CAMERAS, late=())
+        for number in range(2, 4 * MAX_MISSES):
+            await fall(bench, number, prompt=CAMERAS[:1], late=CAMERAS[1:])
+        assert acquisition.state is AcquisitionState.ARMED
+        assert {camera.recoveries for camera in acquisition.cameras.statuses()} == {0}
+        assert ["could not be used" in str(c.warnings) for c in acquisition.cameras.statuses()] == [
+            False,
+            True,
+            True,
+        ]
+        await fall(bench, 4 * MAX_MISSES, prompt=CAMERAS, late=())
+        assert set(bench.bundles[-1].frames) == set(CAMERAS)
+
+
+async def test_a_rig_that_was_held_as_no_images_came_gets_out_of_it_by_itself(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Cameras are opened anew again and again, also one that sent a last image late; then all of them send."""
+    monkeypatch.setattr(device_keeper, "BACK_OFF_S", (0.0,))
+    bench = HandBench()
+    async with armed(bench) as acquisition:
+        await fall(bench, 1, prompt=CAMERAS, late=())
+        await fall(bench, 2, prompt=CAMERAS[:1], late=CAMERAS[1:2])
+        for number in range(3, 6 * MAX_MISSES):
+            await fall(bench, number, prompt=CAMERAS[:1], late=())
+            await bench.until(lambda: acquisition.cameras.armed == len(CAMERAS))
+        assert all(camera.recoveries > 1 for camera in acquisition.cameras.statuses()[1:])
+        assert AcquisitionState.HELD in [state for state, _ in bench.entered]
+        for number in range(6 * MAX_MISSES, 6 * MAX_MISSES + 3):
+            await fall(bench, number, prompt=CAMERAS, late=())
+        assert acquisition.state is AcquisitionState.ARMED
+        assert set(bench.bundles[-1].frames) == set(CAMERAS)
