@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -29,28 +29,39 @@ def load_settings_file(path: Path, model: type[Model], name_of: Callable[[Loc], 
 
     Raises `SettingsError`, which names the file and each wrong field.
     """
+    document = read_toml(path)
+    try:
+        settings = model.model_validate(document, context={"folder": path.resolve().parent})
+    except ValidationError as err:
+        raise SettingsError(f"{path}: {wrong_fields(err, name_of)}") from None
+    if wrong := "; ".join(_truths_as_numbers(document, settings, name_of)):
+        raise SettingsError(f"{path}: {wrong}")
+    return settings
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file, bounded; raise `SettingsError`, which names it."""
     try:
         text = read_bounded(path, MAX_BYTES).decode()
         if any(len(line) > MAX_LINE for line in text.splitlines()):
             raise ValueError(f"has a line of more than {MAX_LINE} characters")
-        document = tomllib.loads(text)
+        return tomllib.loads(text)
     except OSError as err:
         raise SettingsError(f"{path}: {err.strerror}") from err
     except ValueError as err:  # neither text nor TOML, or a number beyond all bounds
         raise SettingsError(f"{path}: {err}") from err
     except RecursionError as err:
         raise SettingsError(f"{path}: is nested too deeply") from err
-    try:
-        settings = model.model_validate(document, context={"folder": path.resolve().parent})
-    except ValidationError as err:
-        wrong = "; ".join(
-            ": ".join([*filter(None, [name_of(error["loc"])]), error["msg"].removeprefix("Value error, ")])
-            for error in err.errors()
+
+
+def wrong_fields(err: ValidationError, name_of: Callable[[Loc], str] = dotted, *section: str) -> str:
+    """Return the fields that are wrong, each with the reason; `section` is the one that was validated alone."""
+    return "; ".join(
+        ": ".join(
+            [*filter(None, [name_of((*section, *error["loc"]))]), error["msg"].removeprefix("Value error, ")]
         )
-        raise SettingsError(f"{path}: {wrong}") from None
-    if wrong := "; ".join(_truths_as_numbers(document, settings, name_of)):
-        raise SettingsError(f"{path}: {wrong}")
-    return settings
+        for error in err.errors()
+    )
 
 
 def _truths_as_numbers(

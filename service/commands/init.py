@@ -14,18 +14,28 @@ import typer
 
 from drivers.files.durable import write_file
 from drivers.files.rig_file import read_rig, write_rig
+from drivers.gates.serial_gate import SerialGateSettings
 from drivers.gvcp import DiscoveredCamera, discover, local_addresses
 from pipeline.frames import CameraId
 from pipeline.rig.design import nominal_rig
 from service.base.errors import SettingsError, UsageError
+from service.base.language import Language
 from service.base.tables.files import NamedColumn, read_rows
 from service.commands.cameras import ipv4_address
 from service.commands.options import DensityOptions, with_options
+from service.commands.wiring import write_wiring
 from service.configuration.camera_wire import UPLINK_BYTES_S, CameraWire, Carried
-from service.configuration.live_rig import DelayMaker
-from service.configuration.rig_checks import carried_by, rig_warnings
-from service.configuration.rig_settings import CameraPlace
-from service.configuration.settings import Settings, load_settings, problems, shortcomings
+from service.configuration.live_rig import DelayMaker, GateSettings
+from service.configuration.rig_checks import PLACEHOLDER, PLACEHOLDER_PORT, carried_by, rig_warnings
+from service.configuration.rig_settings import AravisRigSettings, CameraPlace
+from service.configuration.settings import (
+    Settings,
+    SpoolSettings,
+    StoreSettings,
+    load_settings,
+    problems,
+    shortcomings,
+)
 from service.host.host import ROOT, host_at
 from service.host.network import links_bytes_s
 
@@ -71,6 +81,10 @@ class InitOptions:
     """The rig is a simulated one."""
     force: bool = False
     """Replace the file."""
+    wiring: bool = False
+    """Write the wiring page of the rig beside the file, wiring.svg and wiring.pdf; a file that is there stays."""
+    language: Language = Language.ENGLISH
+    """Language of the wiring page."""
 
 
 @with_options
@@ -79,9 +93,14 @@ def command(options: InitOptions, density: DensityOptions) -> None:
 
     On a terminal it asks for what no option says. Cameras that answer are entered in any order when there is one for
     each place. A rig file that is there is kept; without one the design is written, until the rig is calibrated.
+    An installed example that has nothing of this site yet is replaced.
     """
     if options.file.exists() and not options.force:
-        raise UsageError(f"{options.file}: exists already; --force replaces it")
+        if options.wiring:
+            _print_wiring(options)
+            return
+        if not _is_example(options.file):
+            raise UsageError(f"{options.file}: exists already; --force replaces it")
     is_asked = sys.stdin.isatty()
     interfaces = tuple(options.interface or (_asked_interfaces() if is_asked else ()))
     rig_file = options.file.resolve().parent / "rig.json"
@@ -140,6 +159,8 @@ def command(options: InitOptions, density: DensityOptions) -> None:
         write_rig(rig_file, rig)
         typer.echo(f"{rig_file}: the rig's design, until it is calibrated")
     write_file(options.file, text.encode())
+    if options.wiring:
+        _print_wiring(options)
     missing = _missing(options.file, [place for place in rig.camera_ids if place not in named], gate)
     typer.echo(
         f"{options.file}: {'written; nothing is missing' if not missing else 'written, and not ready:'}"
@@ -149,6 +170,29 @@ def command(options: InitOptions, density: DensityOptions) -> None:
     typer.echo(_next_steps(options.file, options.product, density_kg_m3))
     if missing:
         raise typer.Exit(1)
+
+
+def _print_wiring(options: InitOptions) -> None:
+    pages = write_wiring(options.file, options.language)
+    typer.echo(f"{' and '.join(map(str, pages))}: the wiring page")
+
+
+def _is_example(file: Path) -> bool:
+    """True when a file has placeholders and defaults alone, as the installed example: nothing of this site is lost."""
+    try:
+        settings = load_settings(file)
+    except SettingsError:
+        return False
+    rig = settings.rig
+    if not isinstance(rig, AravisRigSettings):
+        return False
+    if not all(PLACEHOLDER.fullmatch(camera.serial or "") for camera in rig.cameras):
+        return False
+    cameras = tuple(CameraPlace(id=camera.id, serial=camera.serial) for camera in rig.cameras)
+    gate = GateSettings(serial=SerialGateSettings(port=PLACEHOLDER_PORT))
+    untouched = AravisRigSettings(backend="aravis", calibration=rig.calibration, cameras=cameras, gate=gate)
+    spool, store = SpoolSettings(dir=settings.spool.dir), StoreSettings(dir=settings.store.dir)
+    return settings == Settings(rig=untouched, spool=spool, store=store)
 
 
 def check_config_command(

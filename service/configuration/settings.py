@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from tempfile import TemporaryFile
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from pipeline.carving import CarvingParameters
 from pipeline.meshing import MeshingParameters
@@ -21,7 +21,7 @@ from service.acquisition.empty_rig import EmptyRigParameters
 from service.base.errors import StoreError, VolumeModelError
 from service.base.paths import ConfiguredPath
 from service.base.schema import Live, require_ranges
-from service.base.settings_file import Loc, dotted, load_settings_file
+from service.base.settings_file import Loc, dotted, load_settings_file, wrong_fields
 from service.bundling.window import BundlingSettings
 from service.calibration.verification_limits import VerificationParameters
 from service.configuration.rig_checks import rig_problems
@@ -128,6 +128,11 @@ def load_settings(path: Path) -> Settings:
     Raises `SettingsError`, which names the file and each wrong field.
     """
     return load_settings_file(path, Settings, _name_of)
+
+
+def wrong_rig_fields(err: ValidationError) -> str:
+    """Return the fields that are wrong in `[rig]`, which was validated alone, each with the reason."""
+    return wrong_fields(err, _name_of, "rig")
 
 
 def problems(settings: Settings) -> Iterator[str]:

@@ -7,7 +7,7 @@ from datetime import datetime
 from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import typst
 from markupsafe import Markup
@@ -65,10 +65,20 @@ def render_pdf(data: ReportData, font_folder: Path = DEJAVU) -> bytes:
 
 def pdf_of(document: Document, font_folder: Path = DEJAVU) -> bytes:
     """Return a document as PDF; `font_folder`: see `render_pdf`."""
+    return _compiled(document, "pdf", font_folder)
+
+
+def svg_of(sheet: Document, font_folder: Path = DEJAVU) -> bytes:
+    """Return a document of one page as SVG, with letters as outlines; `font_folder`: see `render_pdf`."""
+    return _compiled(sheet, "svg", font_folder)
+
+
+def _compiled(document: Document, kind: Literal["pdf", "svg"], font_folder: Path) -> bytes:
     default = partial(_jsonable, language=Language(document.language))
     report = json.dumps(document, default=default, ensure_ascii=False)
-    pdf = typst.compile(
+    file = typst.compile(
         TEMPLATES / "page.typ",
+        format=kind,
         sys_inputs={"report": report.encode("utf-8", "replace").decode()},
         font_paths=[font_folder],
         ignore_system_fonts=True,
@@ -77,7 +87,7 @@ def pdf_of(document: Document, font_folder: Path = DEJAVU) -> bytes:
     empty = typst.Compiler(ignore_system_fonts=True)  # empties the cache
     for _ in range(CACHED):
         empty.compile(b"")
-    return pdf
+    return file
 
 
 def _jsonable(part: Any, language: Language) -> object:

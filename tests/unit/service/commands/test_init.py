@@ -252,3 +252,20 @@ def test_what_makes_the_delay_can_be_said(tmp_path: Path) -> None:
     assert (rig.delay, rig.gate_delay_us, rig.camera_delay_ms) == (DelayMaker.GATE, 247_352, 0.0)
     assert rig.gate.serial is not None
     assert rig.gate.serial.debounce_us == 1000  # a pulse of an edge that is merged here would be nobody's
+
+
+def test_the_installed_example_is_replaced_while_nothing_of_the_site_is_in_it(tmp_path: Path) -> None:
+    file = tmp_path / "stonefall.toml"
+    example = (DEPLOY / "stonefall.toml").read_text()
+    for mine in (
+        example.replace("SERIAL-07", "4711"),
+        example.replace("# keep_raw =", "keep_raw = 7  #"),
+        example.replace("by-id/usb-gate", "by-id/usb-ours"),
+    ):
+        assert mine != example
+        file.write_text(mine)
+        assert "--force replaces it" in str(complete(tmp_path).exception)
+        assert file.read_text() == mine
+    file.write_text(example)
+    assert complete(tmp_path).exit_code == 0
+    assert "S-c07" in file.read_text()

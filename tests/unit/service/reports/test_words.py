@@ -20,6 +20,7 @@ from pipeline.gradation.indices import INDICES
 from pipeline.gradation.specification import Verdict
 from pipeline.views.quality import Quality
 from service.base.language import Language
+from service.configuration.live_rig import DelayMaker
 from service.health.alarms.rules import Priority
 from service.lots.lots import LotState
 from service.lots.plant import PlantSettings
@@ -63,6 +64,7 @@ FAMILIES = {
     "trend": list(TrendFigure),
     "plant": list(PlantSettings().texts),
     "priority": list(Priority),
+    "wiring_delay": list(DelayMaker),
     "shift": [*SHIFT_LISTS, *(f"no_{each}" for each in SHIFT_LISTS), *SHIFT_HEADS, *SHIFT_COUNTED],
     "accounting": [
         "unmeasured_expected_percent",
