@@ -276,6 +276,7 @@ class Acquisition:
                 case Trigger():
                     count = None if assembler.missed.has_gap else event.gate_count
                     (event,) = await self._triggers.record([event], count)
+                    log.debug("the beam closed trigger=%d bundle=%s", event.sequence, event.name)
                 case TriggersLost():
                     log.warning("stones without an announcement count=%d: %s", event.count, event.reason)
                     self._gate_watch.note_gap(event, time.monotonic())
@@ -317,6 +318,15 @@ class Acquisition:
                     bundle.name,
                     len(bundle.frames),
                     bundle.trigger.n_stones,
+                )
+            if log.isEnabledFor(logging.DEBUG):
+                for camera, reason in bundle.missing.items():
+                    log.debug("no frame: %s camera=%s bundle=%s", reason, camera, bundle.name)
+                log.debug(
+                    "bundle of %d views trigger=%d bundle=%s",
+                    len(bundle.frames),
+                    bundle.trigger.sequence,
+                    bundle.name,
                 )
             self.cameras.check_bundle(bundle)
             if self.gate.state is not DeviceState.LOST:

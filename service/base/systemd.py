@@ -11,11 +11,16 @@ import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
-from service.base.log_lines import STDERR, LogLines
+from service.base.log_level import LogLevel
+from service.base.log_lines import JOURNAL, STDERR, Journal, LogLines, encoded, to_stderr
 
 log = logging.getLogger(__name__)
 
+OWN = ("service", "drivers")
+"""Loggers whose level is set."""
 REPORT_S = 1.0
 """Interval between reports of the status; shorter if the watchdog asks for it."""
 EXTENSION_US = 15_000_000
@@ -77,25 +82,22 @@ async def feed_watchdog(
         await asyncio.sleep(pause_s)
 
 
-PRIORITIES = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2}
-
-
-class JournalFormatter(logging.Formatter):
-    """Formats every line with a prefix such as `<3>`, from which journald reads the priority (sd-daemon(3))."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        prefix = f"<{PRIORITIES.get(record.levelno, 6)}>"
-        return "\n".join(prefix + line for line in super().format(record).splitlines())
-
-
-def configure_logging(environ: Mapping[str, str]) -> None:
-    """Log to stderr: with the time, or with priorities if the journal reads it, which records the time itself."""
-    handler = LogLines()
+def configure_logging(environ: Mapping[str, str], level: LogLevel, journal: Path = JOURNAL) -> None:
+    """Log to the journal, with fields, if it reads stderr; else to stderr, with the time."""
     status = os.fstat(STDERR)
     # the stream `device:inode` that the journal reads (systemd.exec(5))
     if environ.get("JOURNAL_STREAM", "") == f"{status.st_dev}:{status.st_ino}":
-        handler.setFormatter(JournalFormatter("%(name)s: %(message)s"))
+        reader = Journal(journal)
+        handler = LogLines(reader.encode, reader.write)
     else:
-        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s"))
+        formatter = logging.Formatter("%(asctime)s %(levelname)-7s %(name)s: %(message)s")
+        handler = LogLines(partial(encoded, formatter), to_stderr)
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     logging.getLogger("uvicorn").setLevel(logging.WARNING)  # the daemon logs its start and end
+    use_level(level)
+
+
+def use_level(level: LogLevel) -> None:
+    """Log what is of a level or above; of libraries nothing below `info`."""
+    for name in OWN:
+        logging.getLogger(name).setLevel(level.upper())

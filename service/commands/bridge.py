@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from service.base.log_level import LogLevel
 from service.base.systemd import configure_logging, service_manager
 from service.bridge.run import run
 from service.bridge.settings import load_bridge_settings
@@ -19,5 +20,5 @@ def command(
 ) -> None:
     """Serve results, lots, state and alarms over OPC UA, MQTT and contacts, until SIGTERM; a client of the daemon."""
     settings = load_bridge_settings(config)
-    configure_logging(os.environ)
+    configure_logging(os.environ, LogLevel.INFO)
     asyncio.run(run(settings, service_manager(os.environ, os.getpid())))

@@ -6,10 +6,14 @@ import os
 import resource
 import sys
 import threading
-from typing import NoReturn
+from dataclasses import replace
+from typing import Annotated, NoReturn
+
+import typer
 
 from service.acquisition.device_keeper import CONTROL_THREAD_SUFFIX
 from service.base.errors import SettingsError
+from service.base.log_level import LogLevel
 from service.base.systemd import configure_logging, service_manager
 from service.commands.options import Config
 from service.host.machine import FILES
@@ -21,7 +25,13 @@ LEAST_FILES = 512
 """Open files and connections of sixteen cameras, the workers, and a few clients."""
 
 
-def command(config: Config) -> None:
+def command(
+    config: Config,
+    log_level: Annotated[
+        LogLevel | None,
+        typer.Option(help="In the place of the configuration's [log] level, until that is read again."),
+    ] = None,
+) -> None:
     """Run the daemon: measure the stones of a rig, store the results and serve them, until SIGTERM."""
     open_standard_files()
     allow_files()
@@ -31,9 +41,11 @@ def command(config: Config) -> None:
     from service.daemon.run import run
 
     settings = load_settings(config)
+    if log_level is not None:
+        settings = settings.model_copy(update={"log": replace(settings.log, level=log_level)})
     if wrong := "; ".join(problems(settings)):
         raise SettingsError(f"{config}: {wrong}")
-    configure_logging(os.environ)
+    configure_logging(os.environ, settings.log.level)
     try:
         asyncio.run(run(settings, service_manager(os.environ, os.getpid()), config))
     except BaseExceptionGroup:

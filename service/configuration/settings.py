@@ -19,6 +19,7 @@ from pipeline.views.consistency import ConsistencyParameters
 from pipeline.views.quality import ViewsParameters
 from service.acquisition.empty_rig import EmptyRigParameters
 from service.base.errors import StoreError, VolumeModelError
+from service.base.log_level import LogLevel
 from service.base.paths import ConfiguredPath
 from service.base.schema import Live, require_ranges
 from service.base.settings_file import Loc, dotted, load_settings_file, wrong_fields
@@ -81,6 +82,13 @@ class StoreSettings:
         require_ranges(self, backup_every_h=(0, 8760), keep_backups=(1, 1000))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogSettings:
+    """The daemon's log."""
+
+    level: LogLevel = LogLevel.INFO
+
+
 class Settings(BaseModel):
     """The whole file: each section is a field, unknown keys are refused."""
 
@@ -102,6 +110,7 @@ class Settings(BaseModel):
     measuring: MeasuringSettings = MeasuringSettings()
     verification: Live[VerificationParameters] = VerificationParameters()
     workers: WorkersSettings = WorkersSettings()
+    log: Live[LogSettings] = LogSettings()
     recordings: RecordingsSettings = RecordingsSettings()
     lots: Live[LotsSettings] = LotsSettings()
     plant: Live[PlantSettings] = PlantSettings()

@@ -239,6 +239,7 @@ def _build_processing(
     def on_result(record: Result) -> None:
         for watch in (watches.rig, watches.optics, watches.refinement):
             watch.feed(record)
+        delays.note_stages(record.timings_ms)
 
     return Processing(
         ProcessingContext(
@@ -266,6 +267,7 @@ def _build_processing(
             on_measured=watches.segmentation.feed,
             # a replay has a clock of its own
             on_outcome=delays.note if belt is None else lambda delay_s: None,
+            on_stored=lambda took_s: delays.note_stages({"store": took_s * 1e3}),
         ),
         quarantine=session.quarantine,
     )

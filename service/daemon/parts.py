@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from service.acquisition.acquisition import Acquisition
+from service.base.systemd import use_level
 from service.daemon.alarming import Alarming
 from service.daemon.backing_up import BackingUp
 from service.daemon.part import Part, Running
@@ -98,7 +99,7 @@ def parts_of(daemon: Daemon, deliveries: Deliveries, reading: Reading, requests:
         Part(checks=session.quarantine.checks),
         Part(checks=daemon.recordings.checks),
         Part(checks=daemon.keys.checks, use=lambda new: daemon.keys.use(new.api.keys)),
-        Part(checks=daemon.configured.checks),
+        Part(checks=daemon.configured.checks, use=lambda new: use_level(new.log.level)),
     ]
 
 

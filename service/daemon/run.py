@@ -15,6 +15,7 @@ from socket import socket
 
 from service.base.addresses import is_loopback
 from service.base.errors import StoreError
+from service.base.log_lines import SESSION
 from service.base.status import AcquisitionTarget
 from service.base.systemd import EXTENSION_US, ServiceManager, feed_watchdog, reloading
 from service.configuration.settings import Settings
@@ -57,6 +58,7 @@ async def run(settings: Settings, manager: ServiceManager, file: Path) -> None:
         resources.push_async_callback(asyncio.to_thread, store.close)
         reading, drawing = ReaderProcess(READER_IMPORTS), ReaderProcess(DRAWER_IMPORTS, DRAWING)
         daemon = await build(Configuration(settings, file), store, reading, requests)
+        SESSION.set(daemon.session.number)
         resources.push_async_callback(asyncio.to_thread, daemon.session.devices.close)
         resources.push_async_exit(partial(_end_spool, daemon.session.folder))
         resources.callback(daemon.pool.close)

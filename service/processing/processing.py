@@ -103,6 +103,7 @@ class ProcessingObserver:
     on_result: Callable[[Result], None] = lambda record: None  # each one, in their order, once it is durable
     on_measured: Callable[[MeasuredBundle], None] = lambda measured: None  # each measured or rejected one
     on_outcome: Callable[[float], None] = lambda delay_s: None  # from each trigger to its durable outcome
+    on_stored: Callable[[float], None] = lambda took_s: None  # time that it took to make a result durable
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +228,8 @@ class Processing:
             case Loss():
                 # a repeated cause is logged once; every trigger has its record
                 level = logging.DEBUG if outcome == self._last_loss else logging.WARNING
-                log.log(level, "trigger lost: %s (%s) bundle=%s", outcome.reason, outcome.detail, bundle.name)
+                named = f"session={turn.session} bundle={bundle.name}"
+                log.log(level, "trigger lost: %s (%s) %s", outcome.reason, outcome.detail, named)
                 self._last_loss = outcome
                 record = lost_record(
                     bundle.trigger,
@@ -237,7 +239,7 @@ class Processing:
                     calibration_id=turn.rig_file.calibration_id,
                     is_simulated=self._context.is_simulated,
                 )
-                await self._finish(turn.session, bundle.name, record, {})
+                await self._stored(turn, record, {})
                 self._observer.on_result(record)
             case _Measured(measured, folder, keep_drop):
                 files = {path.name: path for name in RESULT_FILES if (path := folder / name).exists()}
@@ -245,7 +247,7 @@ class Processing:
                 record = measured.record
                 if (verified := self._calibration().verified) is not None:
                     record = record.model_copy(update={"verification": verified})
-                seq = await self._finish(turn.session, bundle.name, record, files)
+                seq = await self._stored(turn, record, files)
                 self._observer.on_result(record)
                 self._observer.on_measured(measured)
                 if keep_drop is not None:
@@ -254,9 +256,15 @@ class Processing:
                     except OSError as err:  # the drop has its outcome; only the calibration lacks it
                         log.error("drop not kept for the calibration: %s bundle=%s", err, bundle.name)
                 await asyncio.to_thread(shutil.rmtree, folder, ignore_errors=True)
-                log.debug("%s seq=%d bundle=%s", record.outcome, seq, bundle.name)
                 return seq
         return None
+
+    async def _stored(self, turn: _Turn, record: Result, files: Mapping[str, Path]) -> int:
+        """Make a record durable and return its number."""
+        begun_s = time.monotonic()
+        seq = await self._finish(turn.session, turn.bundle.name, record, files)
+        self._observer.on_stored(time.monotonic() - begun_s)
+        return seq
 
     async def _process(self, turn: _Turn) -> _Outcome:
         bundle, path = turn.bundle, turn.bundle.content

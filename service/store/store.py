@@ -21,7 +21,7 @@ from service.base import aside
 from service.base.errors import StoreError
 from service.results.fields import Result
 from service.store import audit, backups, history, reads, writes
-from service.store.particle_files import RAW, drop_raw, drop_sources, path_of
+from service.store.particle_files import RAW, drop_raw, drop_sources, particle_id, path_of
 from service.store.schema import lock_store, read, reader_of, transaction
 from service.store.trouble import StoreTrouble, TroubleCause, trouble_of
 from service.store.writer import StoreWriter
@@ -183,6 +183,8 @@ class Store:
         seq, is_new = await self.write(writes.finish, self.particles_dir, session, bundle, record, files)
         if is_new:
             drop_sources(files)
+        name = particle_id(self.instance_id, seq)
+        log.debug("%s seq=%d stone_id=%s session=%d bundle=%s", record.outcome, seq, name, session, bundle)
         return seq
 
     async def folder(self, seq: int) -> Path:

@@ -19,6 +19,7 @@ from service.web.key_ring import KeyRing
 from service.web.pace import WOKEN, Pace
 from service.web.pairings import Pairings
 from service.web.reader_process import Reading
+from service.web.request_times import RequestTimes
 from service.web.sessions import Sessions
 from service.web.settings import ApiSettings
 from service.web.shared_answers import SharedAnswers
@@ -60,6 +61,7 @@ class ApiContext:
     """Long polls are answered one after the other, although a result wakes all of them at once."""
     streams: OpenStreams = field(default_factory=OpenStreams)
     counted: CountedOutcomes = field(default_factory=CountedOutcomes)
+    times: RequestTimes = field(default_factory=RequestTimes)
     guesses: Attempts = field(default_factory=Attempts)
     """Wrong keys."""
     codes: Attempts = field(default_factory=Attempts)

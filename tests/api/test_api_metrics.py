@@ -1,5 +1,6 @@
 """Metrics as Prometheus reads them, beside the answers that they must agree with; the configuration without secrets."""
 
+import json
 import re
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,15 +14,17 @@ from support.rest import SICK_HEALTH, FakeControl, app_of, client_of
 
 from service.base.redaction import redacted
 from service.configuration.settings import Settings, load_settings
-from service.daemon.overview.result_delays import LIMITS_S
+from service.daemon.overview.result_delays import LIMITS_S, STAGES
 from service.daemon.rest.routes.metrics import Snapshot
 from service.results.fields import Verified
 from service.store import Store
 from service.store.accounting import OutcomeCounts, outcome_counts
 from service.store.retention import RetentionLimits, remove_results
+from service.web.request_times import RequestTimes
 from service.web.settings import ApiSettings
 
 ROOT = Path(__file__).parents[2]
+DASHBOARD = ROOT / "deploy" / "grafana.json"
 GUIDE, ALERTS = ROOT / "deploy" / "README.md", ROOT / "deploy" / "alerts.yml"
 
 
@@ -147,7 +150,7 @@ def test_the_guide_names_every_metric_and_the_rules_name_no_other(control: FakeC
     snapshot = Snapshot(
         facts=facts,
         outcomes=OutcomeCounts(n={("measured", "", "good"): 1}),
-        delays=control.delays.histogram,
+        histograms=(control.delays.histogram, control.delays.stages, RequestTimes().histogram),
         verified=Verified.NEVER,
         last_verification=None,
     )
@@ -162,8 +165,42 @@ def test_the_guide_names_every_metric_and_the_rules_name_no_other(control: FakeC
     }
     assert named - families <= conditional
     rules = re.findall(r"\b(stonefall_\w+)", ALERTS.read_text(encoding="utf-8").replace("job=", ""))
-    in_rules = {re.sub(r"_(total|bucket)$", "", name) for name in rules}
+    in_rules = {re.sub(r"_(total|bucket|count)$", "", name) for name in rules}
     assert in_rules <= families | conditional
+    dashboard = json.loads(DASHBOARD.read_text(encoding="utf-8"))
+    queries = [target["expr"] for panel in dashboard["panels"] for target in panel.get("targets", ())]
+    shown = {
+        re.sub(r"_(total|bucket|sum|count)$", "", name)
+        for query in queries
+        for name in re.findall(r"\bstonefall_\w+", query)
+    }
+    assert len(shown) > 15
+    assert shown <= families | conditional
+
+
+async def test_stages_and_requests_are_timed_with_bounded_labels(
+    store: Store, session: int, control: FakeControl
+) -> None:
+    await add(store, session, 1, measured())
+    control.delays.note_stages({"segment": 80.0, "store": 3.0, "total": 120.0, "of a later algorithm": 1.0})
+    async with client_of(app_of(store, control)) as client:
+        for path in ("/particles/1", "/particles/999", "/particles/1?x=y", "/nowhere/1", "/nowhere/2"):
+            await client.get(path)
+        await client.request("BREW", "/particles/1")
+        await client.head("/particles/1")
+        found = await scraped(client)
+    stages = found["stonefall_stage_seconds_count"]
+    assert {labels: n for labels, n in stages.items() if n} == {("segment",): 1, ("store",): 1}
+    assert len(stages) == len(STAGES)
+    assert found["stonefall_stage_seconds_bucket"]["0.1", "segment"] == 1
+    assert found["stonefall_stage_seconds_sum"]["segment",] == pytest.approx(0.08)
+    route = "/api/v1/particles/{particle_id}"
+    assert found["stonefall_http_request_seconds_count"] == {
+        ("GET", route, "2xx"): 2,
+        ("GET", route, "4xx"): 2,
+        ("GET", "other", "4xx"): 2,
+        ("other", route, "4xx"): 1,
+    }
 
 
 def test_no_rule_adds_up_several_rigs() -> None:

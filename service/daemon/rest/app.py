@@ -37,6 +37,7 @@ from service.web.pieces import in_pieces
 from service.web.problems import install_handlers
 from service.web.reader_process import Reading
 from service.web.request_ids import with_request_ids
+from service.web.request_times import timed
 from service.web.routes import screens
 from service.web.sessions import Sessions
 from service.web.settings import ApiSettings
@@ -89,6 +90,7 @@ def create_app(
     app.add_middleware(with_body_limit, max_body_bytes=settings.max_body_bytes)
     app.add_middleware(paced, is_known=partial(has_right_key, context=app.state.context))
     app.add_middleware(in_pieces)
+    app.add_middleware(timed, times=app.state.context.times)
     app.add_middleware(answering_heads)
     app.add_middleware(with_request_ids)  # every answer has one
     app.add_middleware(answering_joined)

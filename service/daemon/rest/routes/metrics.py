@@ -72,13 +72,14 @@ class Snapshot(Collector):
 
     facts: Facts
     outcomes: OutcomeCounts
-    delays: Histogram
+    histograms: Sequence[Histogram]
     verified: Verified
     last_verification: Verification | None
 
     def collect(self) -> Iterable[Metric]:
         yield from _stones(self.outcomes)
-        yield from self.delays.collect()
+        for histogram in self.histograms:
+            yield from histogram.collect()
         yield from _rig(self.facts.acquisition)
         yield from _cameras(self.facts.cameras)
         yield from _health(self.facts.health)
@@ -96,7 +97,7 @@ class Snapshot(Collector):
     "", response_class=Response, responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}}
 )
 async def metrics(context: Context) -> Response:
-    """Get the metrics in Prometheus' text format: stones, delays, queue, cameras, health, calibration."""
+    """Get the metrics in Prometheus' text format: stones, delays, stages, requests, queue, cameras, health."""
     return Response(await metrics_of(context), media_type=CONTENT_TYPE_PLAIN_0_0_4)
 
 
@@ -107,11 +108,11 @@ async def metrics_of(context: ApiContext) -> bytes:
 
 async def _text(context: ApiContext) -> bytes:
     control = context.control
-    calibrations = control.part(Calibrations)
+    calibrations, delays = control.part(Calibrations), control.part(ResultDelays)
     snapshot = Snapshot(
         facts=control.part(Facts),
         outcomes=await context.counted.now(context.store),
-        delays=control.part(ResultDelays).histogram,
+        histograms=(delays.histogram, delays.stages, context.times.histogram),
         verified=calibrations.verified,
         last_verification=calibrations.verifications.last(calibrations.rig_file.calibration_id),
     )

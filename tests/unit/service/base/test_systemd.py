@@ -1,5 +1,4 @@
 import asyncio
-import logging
 import os
 import resource
 import shlex
@@ -14,7 +13,7 @@ from subprocess import PIPE
 import pytest
 from support.eventually import PATIENCE_S
 
-from service.base.systemd import JournalFormatter, ServiceManager, feed_watchdog, service_manager
+from service.base.systemd import ServiceManager, feed_watchdog, service_manager
 from service.processing.left_bundles import MAX_DEATHS
 
 UNIT = Path(__file__).parents[4] / "systemd/stonefall.service"
@@ -79,9 +78,9 @@ async def heard(listener: socket.socket, timeout_s: float = 5) -> str:
         return (await asyncio.get_running_loop().sock_recv(listener, 4096)).decode()
 
 
-def unheard(listener: socket.socket) -> bytes:
+def unheard(listener: socket.socket, size: int = 4096) -> bytes:
     try:
-        return listener.recv(4096)
+        return listener.recv(size)
     except BlockingIOError:
         return b""
 
@@ -99,33 +98,97 @@ def test_the_watchdog_is_ours_only_if_it_names_us(environ: dict[str, str], watch
     assert service_manager(environ, pid=42).watchdog_s == watchdog_s
 
 
-def test_every_line_for_the_journal_has_its_priority():
-    record = logging.LogRecord("service.x", logging.ERROR, "", 0, "camera %s\nis gone", ("c03",), None)
-    assert JournalFormatter("%(name)s: %(message)s").format(record) == "<3>service.x: camera c03\n<3>is gone"
+PROGRAM = """
+import os, logging, sys
+from pathlib import Path
+from service.base.log_level import LogLevel
+from service.base.log_lines import SESSION
+from service.base.systemd import configure_logging, use_level
+status = os.fstat(2)
+journal = {"JOURNAL_STREAM": f"{status.st_dev}:{status.st_ino + OFFSET}"}
+configure_logging(journal, LogLevel.INFO, Path(sys.argv[1]))
+"""
 
 
-def test_priorities_are_written_only_when_the_journal_reads_stderr():
-    program = (
-        "import os, logging; from service.base.systemd import configure_logging;"
-        "status = os.fstat(2);"
-        "configure_logging({'JOURNAL_STREAM': f'{status.st_dev}:{status.st_ino + OFFSET}'});"
-        "logging.getLogger('x').warning('dust')"
+def logged(lines: str, journal: Path, offset: int = 0) -> str:
+    """Run lines of Python after the log was configured; return what is on stderr."""
+    run = subprocess.run(
+        [sys.executable, "-c", PROGRAM.replace("OFFSET", str(offset)) + lines, journal],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"PYTHONPATH": str(UNIT.parents[1])},
     )
-    for offset, expected in ((0, "<4>x: dust"), (1, "WARNING x: dust")):
-        run = subprocess.run(
-            [sys.executable, "-c", program.replace("OFFSET", str(offset))],
-            capture_output=True,
-            text=True,
-            check=True,
-            env=os.environ | {"PYTHONPATH": str(UNIT.parents[1])},
-        )
-        assert expected in run.stderr
+    return run.stderr
+
+
+def test_priorities_are_written_only_when_the_journal_reads_stderr(tmp_path: Path):
+    line = "logging.getLogger('x').warning('dust\\nagain')"
+    assert logged(line, tmp_path / "none") == "<4>x: dust\n<4>again\n"
+    assert "WARNING x: dust" in logged(line, tmp_path / "none", offset=1)
+
+
+def entries(listener: socket.socket) -> list[dict[str, str]]:
+    """Return what the journal was sent, as it reads it (systemd, Native Journal Protocol)."""
+    found = []
+    while datagram := unheard(listener, 1 << 20):
+        fields = {}
+        while datagram:
+            head, _, datagram = datagram.partition(b"\n")
+            name, is_text, value = head.partition(b"=")
+            if not is_text:
+                size = int.from_bytes(datagram[:8], "little")
+                value, datagram = datagram[8 : 8 + size], datagram[9 + size :]
+            fields[name.decode()] = value.decode()
+        found.append(fields)
+    return found
+
+
+def test_the_journal_gets_fields_by_which_a_stone_is_followed(tmp_path: Path):
+    """`journalctl STONEFALL_STONE=7-00000042`: from the gate to the result."""
+    lines = """
+log = logging.getLogger("service.x")
+log.debug("not at this level bundle=00000041")
+use_level(LogLevel.DEBUG)
+log.warning("before the first session camera=c03: a=b")
+SESSION.set(7)
+log.debug("the beam closed trigger=3 bundle=00000042")
+log.debug("no frame: %s camera=%s bundle=%s", "late", "c05", "00000042")
+log.error("trigger lost: why session=6 bundle=00000009\\nMESSAGE\\nPRIORITY=0")
+log.debug("measured seq=5 stone_id=abcd-00000005 session=7 bundle=00000042")
+log.info("x" * 1_000_000)
+"""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(tmp_path / "journal"))
+        listener.setblocking(False)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+        beside = logged(lines, tmp_path / "journal")
+        before, *followed = entries(listener)
+    assert before["STONEFALL_CAMERA"] == "c03"
+    assert before.keys() == {"PRIORITY", "SYSLOG_IDENTIFIER", "LOGGER", "MESSAGE", "STONEFALL_CAMERA"}
+    assert [entry["STONEFALL_STONE"] for entry in followed] == [
+        "7-00000042",
+        "7-00000042",
+        "6-00000009",
+        "7-00000042",
+    ]
+    gate, frame, lost, result = followed
+    assert (gate["STONEFALL_TRIGGER"], gate["STONEFALL_BUNDLE"], gate["PRIORITY"]) == ("3", "00000042", "7")
+    assert (frame["STONEFALL_CAMERA"], frame["MESSAGE"]) == (
+        "c05",
+        "service.x: no frame: late camera=c05 bundle=00000042",
+    )
+    assert (lost["STONEFALL_SESSION"], lost["PRIORITY"]) == ("6", "3")
+    assert lost["MESSAGE"].endswith("\nMESSAGE\nPRIORITY=0")
+    assert result["STONEFALL_STONE_ID"] == "abcd-00000005"
+    assert beside.startswith("<6>service.x: xxx")  # too long for a datagram
+    assert len(beside) > 1_000_000
 
 
 def test_whoever_does_not_read_the_log_holds_up_nothing():
     """A journal that hung stopped the daemon with the line that filled its pipe; at its end it waited for ever."""
     program = (
-        "import logging; from service.base.systemd import configure_logging; configure_logging({});"
+        "import logging; from service.base.systemd import configure_logging; configure_logging({}, 'info');"
         "[logging.getLogger('x').warning('line %d', i) for i in range(40_000)];"
         "print('written', flush=True);"
         "input()"
@@ -146,7 +209,7 @@ def test_whoever_does_not_read_the_log_holds_up_nothing():
 
 def test_the_end_does_not_wait_for_who_reads_no_log():
     program = (
-        "import logging; from service.base.systemd import configure_logging; configure_logging({});"
+        "import logging; from service.base.systemd import configure_logging; configure_logging({}, 'info');"
         "[logging.getLogger('x').warning('line %d', i) for i in range(9_000)]"
     )
     environment = os.environ | {"PYTHONPATH": str(UNIT.parents[1])}

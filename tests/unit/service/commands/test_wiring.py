@@ -123,7 +123,10 @@ def test_what_is_no_live_rig_has_no_wiring(tmp_path: Path) -> None:
         ('[rig]\nbackend = "replay"', 'rig.backend is not "aravis"'),
         ("[rig", "rig.toml: "),
         ('[rig]\nbackend = "aravis"\ncalibration = "r"\nexposure_us = 0', "rig: exposure_us must be"),
-        ('[rig]\nbackend = "aravis"\ncalibration = "r"\n[[rig.cameras]]\nid = "x9"\nserial = "7"', "x9: no place of"),
+        (
+            '[rig]\nbackend = "aravis"\ncalibration = "r"\n[[rig.cameras]]\nid = "x9"\nserial = "7"',
+            "x9: no place of",
+        ),
     ):
         (tmp_path / "rig.toml").write_text(text)
         done = CliRunner().invoke(build_app(["init"]), ["init", str(tmp_path / "rig.toml"), "--wiring"])
