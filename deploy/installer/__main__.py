@@ -11,6 +11,7 @@ from pathlib import Path
 from installer import building, placement, releases, service
 from installer.host import Host, InstallError, say
 from installer.releases import Release
+from installer.review import may_switch, review
 from installer.switch import switch
 
 HERE = Path(__file__).resolve().parents[2]
@@ -28,12 +29,22 @@ def main() -> None:
         action="store_true",
         help="with an older release: restore the backup that it can read; later results are kept beside the feed",
     )
+    parser.add_argument(
+        "--review",
+        metavar="STONES",
+        type=int,
+        help="show first what changes, and how the results of so many archived stones would shift; then ask",
+    )
+    parser.add_argument(
+        "--yes", action="store_true", help="with --review: do not ask while shifts are within limits"
+    )
+    parser.add_argument("--show", action="store_true", help="with --review: do not ask, and switch nothing")
     arguments = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended by SIGTERM"))
     host = Host(dry_run=arguments.dry_run)
     start = time.monotonic()
     try:
-        changed = _install(host, arguments.switch_to, may_restore=arguments.restore)
+        changed = _install(host, arguments)
     except (InstallError, OSError) as err:
         sys.exit(f"stonefall is not installed: {err}")
     minutes = (time.monotonic() - start) / 60
@@ -43,20 +54,25 @@ def main() -> None:
         print("nothing was changed: dry run" if host.dry_run else f"{minutes:.1f} minutes")
 
 
-def _install(host: Host, version: str | None, *, may_restore: bool) -> bool:
-    if version is None:
+def _install(host: Host, arguments: argparse.Namespace) -> bool:
+    if arguments.switch_to is None:
         target = releases.read_release(HERE / "bundle.json")
         changed = building.build(host, HERE, target)
     else:
-        target, changed = _installed(host, version), False
+        target, changed = _installed(host, arguments.switch_to), False
     previous = releases.current(host)
+    if arguments.review is not None and target != previous and not host.dry_run:
+        is_within = review(host, previous, target, arguments.review)
+        if arguments.show or not may_switch(target, is_within=is_within, is_agreed=arguments.yes):
+            say("unchanged", f"{target.version} lies beside the current release; nothing was switched")
+            return changed
     if host.dry_run and (target not in releases.installed(host) or not (host.is_root or target == previous)):
         say(
             "would",
             "place units and files of the host, back up the database, switch, start, and wait for health",
         )
         return True
-    changed |= switch(host, target, may_restore=may_restore)
+    changed |= switch(host, target, may_restore=arguments.restore)
     for release in releases.expendable(releases.installed(host), (target, previous)):
         changed |= host.step(
             f"remove release {release.version}: {releases.KEEP} are kept",

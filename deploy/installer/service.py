@@ -49,11 +49,7 @@ class Readiness:
 
 def read_configuration(host: Host, release: Release) -> Configuration:
     """Return the configuration of the host as a release reads it; raise `InstallError` if it prints no JSON."""
-    done = stonefall(host, release, "check-config", CONFIGURATION, "--json")
-    try:
-        document: dict[str, Any] = json.loads(done.stdout)
-    except ValueError as err:
-        raise InstallError(f"check-config of {release.version}: {done.stderr.strip() or err}") from err
+    document = _checked(host, release)
     settings = document["settings"]
     if settings is None:
         return Configuration(None, None, frozenset(document["problems"]))
@@ -64,9 +60,27 @@ def read_configuration(host: Host, release: Release) -> Configuration:
     )
 
 
-def stonefall(host: Host, release: Release, *arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run the command `stonefall` of a release as the user of the service."""
-    return host.ask(f"{FOLDER}/{release.version}/bin/stonefall", *arguments, user=USER)
+def read_settings(host: Host, release: Release) -> dict[str, Any] | None:
+    """Return all settings of the host as a release reads them, defaults included; None if it cannot read them."""
+    settings: dict[str, Any] | None = _checked(host, release)["settings"]
+    return settings
+
+
+def _checked(host: Host, release: Release) -> dict[str, Any]:
+    done = stonefall(host, release, "check-config", CONFIGURATION, "--json")
+    try:
+        document: dict[str, Any] = json.loads(done.stdout)
+    except ValueError as err:
+        raise InstallError(f"check-config of {release.version}: {done.stderr.strip() or err}") from err
+    return document
+
+
+def stonefall(
+    host: Host, release: Release, *arguments: object, is_idle: bool = False
+) -> subprocess.CompletedProcess[str]:
+    """Run the command `stonefall` of a release as the user of the service; `is_idle`: when nothing else computes."""
+    idle = ("nice", "-n", "19") if is_idle else ()
+    return host.ask(*idle, f"{FOLDER}/{release.version}/bin/stonefall", *arguments, user=USER)
 
 
 def is_running(host: Host) -> bool:

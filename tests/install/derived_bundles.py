@@ -57,6 +57,8 @@ def never_ready(source: Path) -> None:
 def measures_wrong(source: Path) -> None:
     path = source / "pipeline/body_measurement.py"
     text = path.read_text()
-    place = "    density = measuring.density_kg_m3\n"
-    assert text.count(place) == 1
-    path.write_text(text.replace(place, f"{place}    volume_mm3 *= 1.005\n"))
+    before, after = text.split("    return ParticleMeasurement(")
+    place = "        volume_mm3=volume_mm3,\n"
+    assert after.count(place) == 1
+    after = after.replace(place, "        volume_mm3=1.005 * volume_mm3,\n")
+    path.write_text(f"{before}    return ParticleMeasurement({after}")

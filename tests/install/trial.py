@@ -141,9 +141,20 @@ def trial(machine: Machine) -> None:
             assert machine.current() == first and machine.unit("MainPID") == pid
             assert not (machine.root / f"opt/stonefall/releases/{wrong}").exists()
             machine.measures()
+        upgrade = (
+            "/opt/stonefall/current/bin/stonefall",
+            "upgrade",
+            f"/srv/stonefall-{newer}",
+            "--stones",
+            "4",
+        )
+        with timed("upgrade: shown only"):
+            said = machine.run(*upgrade, "--dry-run")
+            assert "migrated at the first start" in said and "all results are equal, bit for bit" in said
+            assert machine.current() == first
         with timed("upgrade with a migration"):
             schema, count = machine.database()
-            machine.run(install.format(newer))
+            machine.run(*upgrade, "--yes")
             assert machine.current() == newer
             stood_s = (
                 float(machine.unit("ActiveEnterTimestampMonotonic"))
