@@ -1,13 +1,16 @@
 """The guides: links lead somewhere, the front door is short, what the pages name exists, all decisions are indexed."""
 
 import re
+import shlex
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
 from benchmarks.figures import in_guide, is_outdated, read_figures, tables, used_figures
 
-from service.commands.cli import COMMANDS, build_app
+from service.commands.cli import COMMANDS, build_app, is_installed
 
 ROOT = Path(__file__).parents[2]
 GUIDES = sorted(
@@ -75,17 +78,51 @@ def test_files_of_the_papers_page_exist() -> None:
     ] == []
 
 
-def test_commands_of_the_papers_page_take_the_options_that_it_gives_them() -> None:
-    lines = re.findall(r"(?:`|^    )stonefall ([^`\n#]+)", papers_page(), re.MULTILINE)
-    assert len(lines) > 10
-    for line in lines:
-        name, *words = line.split()
+def commands_of(guide: Path) -> Iterator[tuple[str, bool]]:
+    """Yield the commands of a guide, and whether each stands in a block, from where people paste it."""
+    text = guide.read_text(encoding="utf-8").replace("\\\n", " ")
+    if guide == ROOT / "README.md":  # its list of commands has words beside each
+        head, _, tail = text.partition("\n## Commands\n")
+        text = head + tail.partition("\nFirst REST calls")[2]
+    is_fenced = False
+    for line in text.splitlines():
+        is_fenced ^= line.strip().startswith("```")
+        found = re.findall(r"`stonefall ([^`]+)`", line)
+        is_block = is_fenced or line.startswith("    ")
+        if is_block:
+            found = re.findall(
+                r"(?:^|&& |; |do |\$ |\w=\S+ )\s*(?:\S+/)?stonefall (.+?)(?=$|\s#| && |; )", line.strip()
+            )
+        yield from ((each, is_block) for each in found)
+
+
+def known_words(name: str, words: Sequence[str]) -> tuple[Any, Sequence[str]]:
+    """Return the command of a line, of several the one that it names, and its own words."""
+    command: Any = typer.main.get_command(build_app([name]))
+    command = command.commands[name]
+    while words and words[0] in getattr(command, "commands", ()):
+        command, words = command.commands[words[0]], words[1:]
+    return command, words
+
+
+@pytest.mark.parametrize("guide", GUIDES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_commands_of_the_guides_can_be_pasted(guide: Path) -> None:
+    """Whole lines are taken as they are; of a list (`[--x]`, `a | b`, `...`) commands and options exist."""
+    for line, is_block in commands_of(guide):
+        name, *words = re.split(r"\s+", re.split(r" [|>&] |\s2>", line)[0].strip())
+        if name.startswith("--"):
+            continue
         assert name in COMMANDS, line
-        command = typer.main.get_command(build_app([name])).commands[name]  # type: ignore[attr-defined]  # it is a group
-        if name == "models":
-            command = command.commands[words[0]]
-        known = {option for parameter in command.params for option in parameter.opts}
-        assert {word for word in words if word.startswith("--")} <= known, line
+        if not is_installed(COMMANDS[name]):
+            continue
+        command, own = known_words(name, words)
+        options = {
+            option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)
+        }
+        named = {word for each in own for word in re.findall(r"--[a-z0-9-]+", each)}
+        assert named <= options | {"--help"}, line
+        if is_block and not re.search(r"[\[\]|]|\.\.\.", line):
+            command.make_context(name, shlex.split(" ".join(own)))
 
 
 def test_measured_tables_are_those_of_the_figures_that_were_measured() -> None:
