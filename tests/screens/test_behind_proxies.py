@@ -2,6 +2,7 @@
 
 import json
 import re
+import socket
 import ssl
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +14,8 @@ import pytest
 from playwright.sync_api import Browser, expect
 from support.browser import watched_page
 from support.daemon_process import DaemonProcess
-from support.proxies import NAME, PROXIES
+from support.eventually import eventually
+from support.proxies import NAME, PROXIES, Proxy, write_certificate
 
 from service.store.keys import create_key
 from service.web.routes.screens import PAGES
@@ -35,14 +37,28 @@ trusted_proxies = ["127.0.0.1"]
 class Proxied:
     """A client of the proxy by name, without asking a name server."""
 
-    def __init__(self, port: int, token: str, certificate: Path) -> None:
-        self.origin = f"https://{NAME}:{port}"
-        self.port, self.token = port, token
-        self._client = httpx.Client(
-            base_url=f"https://127.0.0.1:{port}",
-            verify=ssl.create_default_context(cafile=certificate),
+    def __init__(self, proxy: Proxy, token: str, certificate: Path) -> None:
+        self.origin = f"https://{NAME}:{proxy.port}"
+        self.port, self.reload, self.token, self.certificate = proxy.port, proxy.reload, token, certificate
+        self._client = self.connected()
+
+    def connected(self) -> httpx.Client:
+        """Return a client that relies on the certificate as it is now."""
+        return httpx.Client(
+            base_url=f"https://127.0.0.1:{self.port}",
+            verify=ssl.create_default_context(cafile=self.certificate),
             timeout=PATIENCE_MS / 1000,
         )
+
+    def served(self) -> str:
+        """Return the certificate that is served."""
+        context = ssl.create_default_context()
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        with (
+            socket.create_connection(("127.0.0.1", self.port)) as plain,
+            context.wrap_socket(plain, server_hostname=NAME) as wrapped,
+        ):
+            return ssl.DER_cert_to_PEM_cert(wrapped.getpeercert(binary_form=True) or b"")
 
     def ask(self, method: str, path: str, **options: Any) -> httpx.Response:
         with self.stream(method, path, **options) as answer:
@@ -55,6 +71,10 @@ class Proxied:
         self._client.cookies.clear()
         extensions = {"sni_hostname": NAME}
         return self._client.stream(method, path, headers=headers, extensions=extensions, **options)
+
+    def rely_on_renewed(self) -> None:
+        self._client.close()
+        self._client = self.connected()
 
     def close(self) -> None:
         self._client.close()
@@ -79,8 +99,8 @@ def proxied(
 ) -> Iterator[Proxied]:
     process, token = daemon
     folder = tmp_path_factory.mktemp(request.param.__name__)
-    with request.param(folder, urlsplit(process.url("")).port) as port:
-        proxied = Proxied(port, token, folder / "stonefall.pem")
+    with request.param(folder, urlsplit(process.url("")).port) as proxy:
+        proxied = Proxied(proxy, token, folder / "stonefall.pem")
         yield proxied
         proxied.close()
 
@@ -166,6 +186,20 @@ def test_streams_come_as_they_are_sent_and_long_polls_last(proxied: Proxied) -> 
     waited = proxied.ask("GET", api(f"/events?after={last}&limit=1000&wait_s=30"))
     assert waited.status_code == 200
     assert proxied.ask("GET", api("/results?after=0&limit=1&wait_s=30")).json()["items"]
+
+
+def test_a_renewed_certificate_counts_after_a_reload_and_streams_go_on(proxied: Proxied) -> None:
+    before = proxied.served()
+    with proxied.stream("GET", api("/results/stream?after=0")) as answer:
+        events = (line for line in answer.iter_lines() if line.startswith("data:"))
+        next(events)
+        write_certificate(proxied.certificate.parent)
+        proxied.reload()
+        eventually(lambda: proxied.served() != before)
+        assert proxied.served().split() == proxied.certificate.read_text().split()
+        assert [next(events) for _ in range(3)]
+    proxied.rely_on_renewed()
+    assert proxied.ask("GET", api("/health/ready")).status_code in (200, 503)
 
 
 def test_what_is_made_is_where_location_says_and_reports_lead_back(proxied: Proxied) -> None:

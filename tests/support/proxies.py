@@ -1,10 +1,13 @@
 """nginx and Caddy in front of a daemon, with the files of deploy/proxy, without privileges and on loopback ports."""
 
 import os
+import pwd
+import signal
 import socket
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -17,6 +20,7 @@ from support.eventually import eventually
 
 FILES = Path(__file__).parents[2] / "deploy/proxy"
 NGINX = """
+user {user};
 error_log stderr;
 pid {folder}/nginx.pid;
 events {{}}
@@ -32,7 +36,7 @@ http {{
 """
 CADDY = """
 {{
-    admin off
+    admin localhost:{admin_port}
     default_bind 127.0.0.1
     http_port {http_port}
     https_port {https_port}
@@ -42,9 +46,17 @@ import {site}
 """
 
 
+@dataclass(frozen=True, slots=True)
+class Proxy:
+    """A running proxy: its port of TLS, and what `systemctl reload` does."""
+
+    port: int
+    reload: Callable[[], None]
+
+
 @contextmanager
-def nginx(folder: Path, daemon_port: int) -> Iterator[int]:
-    """Run nginx with our file, in which ports, certificate and daemon are others; yields the port of TLS."""
+def nginx(folder: Path, daemon_port: int) -> Iterator[Proxy]:
+    """Run nginx with our file, in which ports, certificate and daemon are others."""
     http_port, https_port = free_port(), free_port()
     certificate, key = write_certificate(folder)
     site = (FILES / "nginx.conf").read_text()
@@ -59,18 +71,20 @@ def nginx(folder: Path, daemon_port: int) -> Iterator[int]:
         site = site.replace(ours, theirs)
     (folder / "stonefall.conf").write_text(site)
     main = folder / "nginx.conf"
-    main.write_text(NGINX.format(folder=folder, site=folder / "stonefall.conf"))
-    arguments = ["-e", "stderr", "-c", str(main), "-g", "daemon off; master_process off;"]
-    yield from _running(folder, ["/usr/sbin/nginx", *arguments], {}, https_port)
+    user = pwd.getpwuid(os.geteuid()).pw_name
+    main.write_text(NGINX.format(folder=folder, site=folder / "stonefall.conf", user=user))
+    command = ["/usr/sbin/nginx", "-e", "stderr", "-c", str(main), "-g"]
+    with _running(folder, [*command, "daemon off;"], {}, https_port) as process:
+        yield Proxy(https_port, lambda: process.send_signal(signal.SIGHUP))
 
 
 @contextmanager
-def caddy(folder: Path, daemon_port: int) -> Iterator[int]:
-    """Run Caddy with our very file, with its variables set; yields the port of TLS."""
-    https_port = free_port()
+def caddy(folder: Path, daemon_port: int) -> Iterator[Proxy]:
+    """Run Caddy with our very file, with its variables set."""
+    https_port, admin_port = free_port(), free_port()
     certificate, key = write_certificate(folder)
     main = folder / "Caddyfile"
-    ports = {"http_port": free_port(), "https_port": https_port}
+    ports = {"http_port": free_port(), "https_port": https_port, "admin_port": admin_port}
     main.write_text(CADDY.format(folder=folder, site=FILES / "Caddyfile", **ports))
     variables = {
         "STONEFALL_CERTIFICATE": str(certificate),
@@ -78,24 +92,41 @@ def caddy(folder: Path, daemon_port: int) -> Iterator[int]:
         "STONEFALL_DAEMON": f"127.0.0.1:{daemon_port}",
         "HOME": str(folder),
     }
-    command = ["/usr/bin/caddy", "run", "--config", str(main), "--adapter", "caddyfile"]
-    yield from _running(folder, command, variables, https_port)
+    options = ["--config", str(main), "--adapter", "caddyfile"]
+    reload = [
+        "/usr/bin/caddy",
+        "reload",
+        *options,
+        "--address",
+        f"localhost:{admin_port}",
+        "--force",
+    ]  # Debian's unit
+    with _running(folder, ["/usr/bin/caddy", "run", *options], variables, https_port):
+        yield Proxy(
+            https_port,
+            lambda: (
+                subprocess.run(reload, env=os.environ | variables, check=True, capture_output=True) and None
+            ),
+        )
 
 
 PROXIES: tuple[Callable[..., object], ...] = (nginx, caddy)
 
 
-def _running(folder: Path, command: list[str], variables: dict[str, str], port: int) -> Iterator[int]:
+@contextmanager
+def _running(
+    folder: Path, command: list[str], variables: dict[str, str], port: int
+) -> Iterator[subprocess.Popen[bytes]]:
     log = folder / "proxy.log"
     with log.open("wb") as output:
         process = subprocess.Popen(command, stdout=output, stderr=output, env=os.environ | variables)
     try:
         eventually(lambda: process.poll() is not None or _listens(port))
         assert process.poll() is None, log.read_text()
-        yield port
+        yield process
         assert process.poll() is None, log.read_text()
     finally:
-        process.kill()
+        process.terminate()  # nginx ends its workers
         process.wait()
 
 
