@@ -11,6 +11,7 @@ import typer
 from benchmarks.figures import in_guide, is_outdated, read_figures, tables, used_figures
 
 from service.commands.cli import COMMANDS, build_app, is_installed
+from service.health.alarms.rules import Priority, load_rules
 
 ROOT = Path(__file__).parents[2]
 GUIDES = sorted(
@@ -123,6 +124,22 @@ def test_commands_of_the_guides_can_be_pasted(guide: Path) -> None:
         assert named <= options | {"--help"}, line
         if is_block and not re.search(r"[\[\]|]|\.\.\.", line):
             command.make_context(name, shlex.split(" ".join(own)))
+
+
+def test_symptoms_are_those_that_doctor_and_health_name() -> None:
+    """Each name is a check or a subject of `doctor`; each check whose alarm cannot wait has a symptom."""
+    guide = (ROOT / "deploy" / "days" / "README.md").read_text(encoding="utf-8")
+    table = guide.split("\n## What is wrong, by what you see\n")[1]
+    rows = re.findall(r"^\| (.+) \| (`.+`) \| (.+) \|$", table, re.MULTILINE)
+    named = {name for _, names, _ in rows for name in re.findall("`(.+?)`", names)}
+    sources = [*(ROOT / "service" / "host").glob("*.py"), *(ROOT / "service" / "commands").glob("doctor*.py")]
+    judged = "\n".join(path.read_text(encoding="utf-8") for path in sources)
+    subjects = set(re.findall(r'(?:judged|fault|unknown)\(\s*"([^"]+)"', judged))
+    rules = load_rules()
+    assert len(rows) > 15
+    assert named <= subjects | set(rules.checks)
+    cannot_wait = {Priority.URGENT, Priority.HIGH}
+    assert {name for name, rule in rules.by_check.items() if {rule.warn, rule.fail} & cannot_wait} <= named
 
 
 def test_measured_tables_are_those_of_the_figures_that_were_measured() -> None:
