@@ -19,13 +19,14 @@ from service.base.language import Language
 from service.base.settings_file import read_toml
 from service.bundling.window import BundlingSettings
 from service.configuration.camera_wire import carried
-from service.configuration.live_rig import GateSettings
+from service.configuration.live_rig import DelayMaker, GateSettings
 from service.configuration.rig_checks import PLACEHOLDER, PLACEHOLDER_PORT
 from service.configuration.rig_settings import AravisRigSettings, CameraPlace
 from service.configuration.settings import wrong_rig_fields
 from service.lots.plant import PlantSettings
 from service.reports.printed import pdf_of, svg_of
-from service.reports.wiring import GateKind, NetworkPlan, RigWiring, WiredCamera, WiredGate, wiring_document
+from service.reports.wiring import GateKind, NetworkPlan, RigWiring, WiredCamera, WiredGate
+from service.reports.wiring_sheet import wiring_document
 
 LAYER_GAP_DEG = 10.0
 """Cameras whose elevations differ by less are of one layer."""
@@ -62,6 +63,7 @@ def rig_wiring(file: Path, language: Language) -> RigWiring:
         gate=_gate(settings),
         delay_ms=settings.trigger_delay_ms,
         strobe_line=settings.strobe_line,
+        has_flash=settings.has_flash,
         network=NetworkPlan(
             interfaces=settings.interfaces,
             link_bytes_s=wire.link_bytes_s,
@@ -146,7 +148,7 @@ def _is_free(host: IPv4Address, taken: set[str | None]) -> bool:
 
 def _gate(settings: AravisRigSettings) -> WiredGate:
     maker = settings.delay_is_made_by
-    fires_light = settings.flash_us is not None and settings.strobe_line is None
+    fires_light = maker is DelayMaker.GATE and settings.flash_us is not None and settings.strobe_line is None
     match settings.gate:
         case GateSettings(serial=serial) if serial is not None:
             port = None if serial.port == PLACEHOLDER_PORT else serial.port

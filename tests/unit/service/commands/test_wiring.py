@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 from service.base.language import Language
 from service.commands.cli import build_app
 from service.commands.wiring import rig_wiring
-from service.reports.wiring import BLANK, BOX, GateKind, WiredGate, wiring_document
+from service.reports.wiring import GateKind, WiredGate
+from service.reports.wiring_sheet import BLANK, BOX, wiring_document
 
 PLACES = [f"c{number:02d}" for number in range(1, 17)]
 DEPLOY = Path(__file__).parents[4] / "deploy"
@@ -116,6 +117,21 @@ def test_every_kind_of_gate_is_drawn(gate: str, wired: WiredGate, trigger: str, 
     assert {each.trigger for each in rig.cameras} == ({"Line1"} if trigger == "Line1" else {None})
     tables = wiring_document(rig).sections[2].blocks
     assert any(wired.line in row[0] for row in tables[0].rows)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ('strobe_line = "Line2"', ("Output Line2", "opto-isolated input of the light's driver")),
+        ('flash_us = 12.0\ndelay = "gate"', ("D10", "opto-isolated input of the light's driver")),
+        ("flash_us = 12.0", ("Light panels with driver", "fired by something else; flash_us says how long")),
+        ("", ("Light panels with driver", "always on: no output fires them")),
+    ],
+)
+def test_it_says_what_fires_the_light(more: str, said: tuple[str, str], tmp_path: Path) -> None:
+    rig = rig_wiring(written(tmp_path, 'serial]\nport = "/dev/gate"\n[plant', more=more), Language.ENGLISH)
+    (table,) = wiring_document(rig).sections[2].blocks
+    assert [tuple(row[:2]) for row in table.rows if said[1] in row[1]] == [said]
 
 
 def test_what_is_no_live_rig_has_no_wiring(tmp_path: Path) -> None:
