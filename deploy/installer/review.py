@@ -105,7 +105,7 @@ def _compare(host: Host, previous: Release, target: Release, n_stones: int) -> b
         archive = ("archive", recording, "--config", placement.CONFIGURATION, "--newest", n_stones)
         done = service.stonefall(host, target, *archive)
         if done.returncode != 0:
-            say("review", f"results were not compared: {done.stderr.strip()}")
+            say("review", f"results were not compared: {_last_line(done.stderr)}")
             return True
         say("review", done.stdout.strip().partition(": ")[2])
         sides = [work / release.version for release in (previous, target)]
@@ -114,7 +114,7 @@ def _compare(host: Host, previous: Release, target: Release, n_stones: int) -> b
             measured = service.stonefall(host, release, "measure", recording, *options, is_idle=True)
             if measured.returncode != 0:
                 raise InstallError(
-                    f"{release.version} does not measure the archived stones: {measured.stderr.strip()}"
+                    f"{release.version} does not measure the archived stones: {_last_line(measured.stderr)}"
                 )
             say("measured", f"by {release.version}")
         limits = [str(word) for pair in LIMITS.items() for word in pair]
@@ -122,9 +122,13 @@ def _compare(host: Host, previous: Release, target: Release, n_stones: int) -> b
         try:
             return _say_shifts(json.loads(compared.stdout))
         except ValueError as err:
-            raise InstallError(f"compare of {target.version}: {compared.stderr.strip() or err}") from err
+            raise InstallError(f"compare of {target.version}: {_last_line(compared.stderr) or err}") from err
     finally:
         shutil.rmtree(work, ignore_errors=True)
+
+
+def _last_line(stderr: str) -> str:
+    return stderr.strip().rpartition("\n")[2]  # before it may be the bar of a progress
 
 
 def _say_shifts(document: Mapping[str, Any]) -> bool:

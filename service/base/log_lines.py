@@ -91,11 +91,9 @@ class Journal:
         """Return a record as an entry of the journal's native protocol."""
         message = self._formatter.format(record)
         head = f"PRIORITY={PRIORITIES.get(record.levelno, 6)}\nSYSLOG_IDENTIFIER=stonefall\n"
-        fields = {
-            "LOGGER": record.name,
-            **stone_fields(message),
-            "MESSAGE": message,
-        }  # the message is the last
+        fields = {"LOGGER": record.name, **stone_fields(message)} | {
+            "MESSAGE": message
+        }  # the last, for `write`
         return head.encode() + b"".join(_field(name, value) for name, value in fields.items())
 
     def write(self, entry: bytes) -> None:

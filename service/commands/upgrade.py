@@ -6,6 +6,7 @@ The file brings the installer that does it, `deploy/install --review`: here the 
 import hashlib
 import subprocess
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -57,7 +58,12 @@ def install_from(folder: Path, chosen: list[str]) -> int:
     install = folder.resolve() / "deploy/install"
     if not install.is_file():
         raise UsageError(f"{folder}: is no release: it has no deploy/install")
-    return subprocess.run(["/bin/bash", install, *chosen], check=False).returncode  # noqa: S603 - its sums were checked
+    process = subprocess.Popen(["/bin/bash", install, *chosen])  # noqa: S603 - its sums were checked
+    while True:
+        with suppress(
+            KeyboardInterrupt
+        ):  # the installer has it from the same terminal, and goes back in order
+            return process.wait()
 
 
 def checks_of(file: Path, signers: Path = SIGNERS) -> list[str]:

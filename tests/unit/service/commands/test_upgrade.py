@@ -1,14 +1,20 @@
 """`stonefall upgrade`: what is damaged or of a foreign key is refused; else the release's own installer runs."""
 
+import os
+import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from support.eventually import PATIENCE_S, eventually
 from typer.testing import CliRunner, Result
 
 from service.base.errors import UsageError
 from service.commands import upgrade
 from service.commands.cli import build_app
+
+ROOT = Path(__file__).parents[4]
 
 
 @pytest.fixture
@@ -58,6 +64,27 @@ def test_the_release_s_own_installer_reviews_it(
     done = upgraded(tmp_path / "made/stonefall-9.0.0" if is_unpacked else release, *options)
     assert done.exit_code == 7  # the installer's
     assert (tmp_path / "told").read_text() == f"deploy --review={9 if options[1:] else 50}{passed}\n"
+
+
+def test_an_interrupted_installer_ends_in_its_own_order(tmp_path: Path) -> None:
+    """Ctrl-C reaches both: the installer goes back to the former release, which nothing may cut short."""
+    (tmp_path / "deploy").mkdir()
+    (tmp_path / "deploy/install").write_text(
+        "trap 'sleep 1; touch rolled-back; exit 5' INT\ntouch started\nwhile :; do sleep 0.05; done\n"
+    )
+    program = (
+        "import sys; from pathlib import Path; from service.commands.upgrade import install_from as run;"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", f"{program} sys.exit(run(Path('.'), []))"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        start_new_session=True,
+    ) as process:
+        eventually((tmp_path / "started").exists)
+        os.killpg(process.pid, signal.SIGINT)
+        assert process.wait(PATIENCE_S) == 5
+    assert (tmp_path / "rolled-back").exists()
 
 
 def test_what_is_no_release_is_refused(release: Path, tmp_path: Path) -> None:
