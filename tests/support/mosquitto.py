@@ -10,6 +10,7 @@ import threading
 from collections.abc import Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -20,26 +21,33 @@ from support.eventually import eventually
 SEARCHED = os.pathsep.join((os.environ.get("PATH", ""), "/usr/sbin"))
 MOSQUITTO = shutil.which("mosquitto", path=SEARCHED) or "mosquitto"
 MOSQUITTO_SUB = shutil.which("mosquitto_sub", path=SEARCHED) or "mosquitto_sub"
+MOSQUITTO_PASSWD = shutil.which("mosquitto_passwd", path=SEARCHED) or "mosquitto_passwd"
+MOSQUITTO_PUB = shutil.which("mosquitto_pub", path=SEARCHED) or "mosquitto_pub"
+NUMBERS = count(1)
 CONFIG = """
-listener {port} 127.0.0.1
+per_listener_settings true
 persistence true
 persistence_location {folder}/
 log_dest stderr
 log_type all
-{more}
 """
+LISTENER = "listener {port} 127.0.0.1\n{more}\n"
+ANYBODY = "allow_anonymous true"
 
 
 class Mosquitto:
     """Started on entering the context, killed at its end; it may be killed and started in between."""
 
-    def __init__(self, folder: Path, more: str = "allow_anonymous true") -> None:
-        """`more`: lines of its configuration, such as those of TLS."""
+    def __init__(self, folder: Path, more: str = ANYBODY, *, has_plain: bool = False) -> None:
+        """`more`: lines of its listener, such as those of TLS; `has_plain`: with another one, for subscribers."""
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.port = folder, free_port()
+        self.plain_port = free_port() if has_plain else self.port
         self._config, self._log = folder / "mosquitto.conf", folder / "mosquitto.log"
-        user = f"user {os.environ.get('USER', 'root')}\n" if os.geteuid() == 0 else ""
-        self._config.write_text(user + CONFIG.format(port=self.port, folder=folder, more=more))
+        user = "user root\n" if os.geteuid() == 0 else ""  # else `mosquitto` could not read our files
+        listeners = {self.port: more, **({self.plain_port: ANYBODY} if has_plain else {})}
+        told = "".join(LISTENER.format(port=port, more=lines) for port, lines in listeners.items())
+        self._config.write_text(user + CONFIG.format(folder=folder) + told)
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Self:
@@ -75,7 +83,7 @@ class Mosquitto:
 
     def _is_listening(self) -> bool:
         assert self._process is not None and self._process.poll() is None, self.log
-        with suppress(OSError), closing(socket.create_connection(("127.0.0.1", self.port), 1)):
+        with suppress(OSError), closing(socket.create_connection(("127.0.0.1", self.plain_port), 1)):
             return True
         return False
 
@@ -94,13 +102,22 @@ class Heard:
 class Subscriber:
     """`mosquitto_sub` of some topics; it connects again by itself, with a session that the broker keeps."""
 
-    def __init__(
-        self, port: int, *topics: str, options: Mapping[str, str] | None = None, qos: int = 1
-    ) -> None:
+    def __init__(self, broker: Mosquitto, *topics: str, options: Mapping[str, str] | None = None) -> None:
         given = [part for pair in (options or {}).items() for part in pair]
         wanted = [part for topic in topics for part in ("-t", topic)]
-        self._command = [MOSQUITTO_SUB, "-h", "127.0.0.1", "-p", str(port), "-V", "mqttv5", "-q", str(qos)]
-        self._command += ["-i", f"subscriber-{os.getpid()}-{id(self)}", "-c", "-x", "3600", "-F", "%r %t %x"]
+        self._broker, self._id = broker, f"subscriber-{next(NUMBERS)}"
+        self._command = [
+            MOSQUITTO_SUB,
+            "-h",
+            "127.0.0.1",
+            "-p",
+            str(broker.plain_port),
+            "-V",
+            "mqttv5",
+            "-q",
+            "1",
+        ]
+        self._command += ["-i", self._id, "-c", "-x", "3600", "-F", "%r %t %x"]
         self._command += [*given, *wanted]
         self.heard: list[Heard] = []
 
@@ -108,6 +125,7 @@ class Subscriber:
         self._process = subprocess.Popen(self._command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
         self._reading = threading.Thread(target=self._read, name="mosquitto_sub")
         self._reading.start()
+        eventually(lambda: f"Sending SUBACK to {self._id}" in self._broker.log)
         return self
 
     def __exit__(
@@ -133,3 +151,9 @@ class Subscriber:
         for line in self._process.stdout:
             retained, topic, *payload = line.decode().rstrip("\n").split(" ")
             self.heard.append(Heard(topic, bytes.fromhex(payload[0] if payload else ""), retained == "1"))
+
+
+def publish(port: int, topic: str, payload: bytes, *, is_retained: bool = False) -> None:
+    """Publish with `mosquitto_pub`."""
+    command = [MOSQUITTO_PUB, "-h", "127.0.0.1", "-p", str(port), "-q", "1", "-t", topic, "-s"]
+    subprocess.run([*command, *(["-r"] if is_retained else [])], input=payload, check=True, timeout=60)

@@ -1,4 +1,4 @@
-"""Protocol Buffers as they are on the wire, without any definition of a message: as `protoc --decode_raw` shows them."""
+"""Protocol Buffers as they are on the wire, without any definition of a message: as `protoc --decode_raw` has them."""
 
 import struct
 from typing import Any

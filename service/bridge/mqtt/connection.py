@@ -56,6 +56,17 @@ def _ignore(topic: str, payload: bytes) -> None:
     """Hear nothing: nothing was subscribed to."""
 
 
+class ClosingSocket(ssl.SSLSocket):
+    """A socket that a failed handshake closes: the library forgets it."""
+
+    def do_handshake(self, block: bool = False) -> None:
+        try:
+            super().do_handshake(block)
+        except BaseException:
+            self.close()
+            raise
+
+
 class Connection:
     """A context: connected when it is entered, closed with its will published when it is left."""
 
@@ -122,12 +133,15 @@ class Connection:
 
     async def acknowledged(self, sent: list["asyncio.Future[bool]"]) -> None:
         """Wait for acknowledgements; end the connection and raise `BrokerError` if one is late, or a refusal."""
-        try:
-            async with asyncio.timeout(ACKNOWLEDGED_S):
-                await asyncio.gather(*sent)
-        except (BrokerError, TimeoutError) as err:
-            self.end(reason := str(err) or f"no acknowledgement within {ACKNOWLEDGED_S:g} s")
-            raise BrokerError(reason) from err
+        if not sent:
+            return
+        _, late = await asyncio.wait(sent, timeout=ACKNOWLEDGED_S, return_when=asyncio.FIRST_EXCEPTION)
+        errors = [
+            str(error) for future in sent if future.done() and (error := future.exception()) is not None
+        ]
+        if late or errors:
+            self.end(reason := (errors or [f"no acknowledgement within {ACKNOWLEDGED_S:g} s"])[0])
+            raise BrokerError(reason)
 
     def _sent(self, code: MQTTErrorCode, number: int | None, topic: str) -> "asyncio.Future[bool]":
         future: asyncio.Future[bool] = self._loop.create_future()
@@ -143,6 +157,7 @@ class Connection:
     def _open(self) -> None:
         settings, client = self._settings, self._client
         if (context := settings.tls_context()) is not None:
+            context.sslsocket_class = ClosingSocket
             client.tls_set_context(context)
         if settings.user is not None:
             client.username_pw_set(settings.user, settings.password())

@@ -39,7 +39,7 @@ class EdgeNode:
         self._host_ms = 0  # time stamp of what the primary host said last
         self._connection: Connection | None = None
         self._rebirth: asyncio.TimerHandle | None = None
-        self._born_s = 0.0
+        self._born_s = 0.0  # by the monotonic clock; 0 before the birth of this connection
         self._has_told = False
         self._link: Link[Connection] = Link(f"{settings.host} {place.group}/{place.node}", self._connect)
 
@@ -68,7 +68,7 @@ class EdgeNode:
             self._number_file.write_text(str(number))
         except OSError as err:
             raise BridgeError(f"{self._number_file}: {err.strerror}") from err
-        self._node = Node(self._place, number)
+        self._node, self._born_s = Node(self._place, number), 0.0
         client_id = f"{self._settings.client_id}-sparkplug"
         return Connection(self._settings, client_id, self._node.death(), self._hear)
 

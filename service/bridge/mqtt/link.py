@@ -14,6 +14,7 @@ log = logging.getLogger(__name__)
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 10.0
 LASTED_S = 5.0
 """A connection that lasted as long was a good one: the next pause is the first again, and the next trouble is told."""
+MAX_TOLD = 10
 T = TypeVar("T")
 
 
@@ -48,22 +49,22 @@ class Link(Generic[T]):
 
     async def keep(self, serve: Callable[[Connection], Awaitable[None]]) -> None:
         """Connect again and again until it is cancelled; `serve` runs as long as the connection, and calls `open`."""
-        now_s, n_failed, told = asyncio.get_running_loop().time, 0, ""
+        now_s, n_failed = asyncio.get_running_loop().time, 0
+        told: set[str] = set()  # reasons of this row of failures: each is told once
         while True:
             began_s, reason = now_s(), ""
             try:
                 async with self._connect() as connection:
                     log.info("broker %s: connected", self._name)
+                    connection.ended.add_done_callback(lambda _: self.shut())
                     await _while_connected(connection, asyncio.ensure_future(serve(connection)))
             except BrokerError as err:
                 reason = str(err)
-            finally:
-                self.shut()
             if now_s() - began_s >= LASTED_S:
-                n_failed, told = 0, ""
-            if reason != told:  # a refusal again and again is told once
+                n_failed, told = 0, set()
+            if reason not in told and len(told) < MAX_TOLD:
                 log.warning("broker %s: %s", self._name, reason)
-                told = reason
+                told.add(reason)
             await asyncio.sleep(pause_s(n_failed))
             n_failed += 1
 

@@ -1,7 +1,7 @@
 """What `stonefall bridge` does for MQTT: JSON topics, Sparkplug B or both, each over a connection of its own.
 
-A result is delivered once the broker has acknowledged it; only then the cursor goes on. While there is no broker no more
-is read: the daemon's feed is what stores and forwards.
+A result is delivered once the broker has acknowledged it; only then the cursor goes on. While there is no broker no
+more is read: the daemon's feed is what stores and forwards.
 """
 
 import asyncio

@@ -218,7 +218,7 @@ def test_values_are_all_of_the_metrics() -> None:
      b'{"online": true, "timestamp": "now"}'],
 )  # fmt: skip
 def test_a_host_that_says_nothing_of_itself_is_an_error_of_one_kind(content: bytes) -> None:
-    with pytest.raises(ValueError, match="is no JSON|has no online"):
+    with pytest.raises(ValueError, match=r"is no JSON|has no online"):
         host_state(content)
 
 
