@@ -157,3 +157,10 @@ def publish(port: int, topic: str, payload: bytes, *, is_retained: bool = False)
     """Publish with `mosquitto_pub`."""
     command = [MOSQUITTO_PUB, "-h", "127.0.0.1", "-p", str(port), "-q", "1", "-t", topic, "-s"]
     subprocess.run([*command, *(["-r"] if is_retained else [])], input=payload, check=True, timeout=60)
+
+
+def write_passwords(path: Path, **passwords: str) -> None:
+    """Write a file of users and their passwords with `mosquitto_passwd`."""
+    path.touch()
+    for user, password in passwords.items():
+        subprocess.run([MOSQUITTO_PASSWD, "-b", path, user, password], check=True, timeout=60)

@@ -1,7 +1,6 @@
 """TLS and passwords at a real broker: what is wrong is refused, told in the log, and in nothing else."""
 
 import asyncio
-import subprocess
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ from typing import Any
 import pytest
 from support.certificates import Authority
 from support.eventually import soon
-from support.mosquitto import MOSQUITTO_PASSWD, Mosquitto, Subscriber
+from support.mosquitto import Mosquitto, Subscriber, write_passwords
 from support.plants import FakePlant, result
 
 from service.bridge.mqtt import link
@@ -26,7 +25,7 @@ def broker(tmp_path: Path) -> Any:
     authority = Authority(tmp_path / "ours")
     certificate, key = authority.vouch("server", HOST)
     passwords = tmp_path / "passwords"
-    subprocess.run([MOSQUITTO_PASSWD, "-b", "-c", passwords, "stonefall", PASSWORD], check=True, timeout=60)
+    write_passwords(passwords, stonefall=PASSWORD)
     more = f"""
 cafile {authority.certificate}
 certfile {certificate}
