@@ -7,7 +7,6 @@ import signal
 import socket
 import subprocess
 import threading
-from collections.abc import Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from itertools import count
@@ -102,10 +101,9 @@ class Heard:
 class Subscriber:
     """`mosquitto_sub` of some topics; it connects again by itself, with a session that the broker keeps."""
 
-    def __init__(self, broker: Mosquitto, *topics: str, options: Mapping[str, str] | None = None) -> None:
-        given = [part for pair in (options or {}).items() for part in pair]
+    def __init__(self, broker: Mosquitto, *topics: str, client_id: str | None = None) -> None:
         wanted = [part for topic in topics for part in ("-t", topic)]
-        self._broker, self._id = broker, f"subscriber-{next(NUMBERS)}"
+        self._broker, self._id = broker, client_id or f"subscriber-{next(NUMBERS)}"
         self._command = [
             MOSQUITTO_SUB,
             "-h",
@@ -118,7 +116,7 @@ class Subscriber:
             "1",
         ]
         self._command += ["-i", self._id, "-c", "-x", "3600", "-F", "%r %t %x"]
-        self._command += [*given, *wanted]
+        self._command += wanted
         self.heard: list[Heard] = []
 
     def __enter__(self) -> Self:
@@ -136,6 +134,10 @@ class Subscriber:
         self._reading.join()
         assert self._process.stdout is not None
         self._process.stdout.close()
+
+    def pause(self, *, is_paused: bool) -> None:
+        """Have it hang, or go on."""
+        self._process.send_signal(signal.SIGSTOP if is_paused else signal.SIGCONT)
 
     def of(self, topic: str) -> list[Heard]:
         """Return what was heard on one topic."""

@@ -1,7 +1,7 @@
 """One connection to the broker, on asyncio: from CONNECT to its end; after it another one is made.
 
-MQTT 5, as a broker then says that it refuses a message; by 3.1.1 it acknowledges and drops it. Clean Start, and no
-session outlives the connection, as Sparkplug asks: what must not be lost stays in the daemon's feed until it is taken.
+MQTT 5, as a broker then says that it refuses a message; by 3.1.1 it acknowledges and drops it. Sparkplug
+asks for Clean Start; another one may ask the broker to remember it, so that it is seen if the broker has forgotten.
 """
 
 import asyncio
@@ -30,6 +30,8 @@ KEEPALIVE_S = 15
 NO_SUBSCRIBERS = 0x10
 """Reason code of a PUBACK, MQTT 5, section 3.4.2.1."""
 CONNECT_S, ACKNOWLEDGED_S, CLOSE_S = 10.0, 30.0, 5.0
+SESSION_S = 3600
+"""Time for which the broker is to remember a session."""
 MAX_INCOMING_BYTES = 64 * 1024
 """The broker is asked to send no larger message."""
 
@@ -39,7 +41,7 @@ class BrokerError(BridgeError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Message:
+class MqttMessage:
     """A message to the broker."""
 
     topic: str
@@ -50,10 +52,6 @@ class Message:
 
 Heard = Callable[[str, bytes], None]
 """Takes topic and payload of a message from the broker; called on the event loop."""
-
-
-def _ignore(topic: str, payload: bytes) -> None:
-    """Hear nothing: nothing was subscribed to."""
 
 
 class ClosingSocket(ssl.SSLSocket):
@@ -67,11 +65,16 @@ class ClosingSocket(ssl.SSLSocket):
             raise
 
 
-class Connection:
+class BrokerConnection:
     """A context: connected when it is entered, closed with its will published when it is left."""
 
-    def __init__(self, settings: MqttSettings, client_id: str, will: Message, heard: Heard = _ignore) -> None:
+    def __init__(
+        self, settings: MqttSettings, client_id: str, will: MqttMessage, heard: Heard | None = None
+    ) -> None:
+        """With `heard` it is of Clean Start, and may subscribe."""
         self._settings, self._heard = settings, heard
+        self.is_remembered = False
+        """True when the broker has the session of the connection before: it was not started anew meanwhile."""
         self._loop = asyncio.get_running_loop()
         self._trouble = ""  # what the library says of it, such as an alert of TLS
         self.ended: asyncio.Future[None] = self._loop.create_future()
@@ -109,15 +112,17 @@ class Connection:
     ) -> None:
         await self._close()
 
-    def send(self, message: Message) -> "asyncio.Future[bool]":
+    def send(self, message: MqttMessage) -> "asyncio.Future[bool]":
         """Send in the order of the calls; the future ends with the acknowledgement, or a `BrokerError`.
 
         It is false when the broker says that nothing subscribes to the topic. One of QoS 0 ends at once.
         """
+        if self.ended.done():
+            return self._sent(MQTTErrorCode.MQTT_ERR_NO_CONN, None, message.topic)
         info = self._client.publish(message.topic, message.payload, message.qos, message.is_retained)
         return self._sent(info.rc, info.mid if message.qos else None, message.topic)
 
-    async def deliver(self, messages: Iterable[Message]) -> None:
+    async def deliver(self, messages: Iterable[MqttMessage]) -> None:
         """Send messages and wait for all acknowledgements; raise `BrokerError` when one is missing."""
         await self.acknowledged([self.send(each) for each in messages])
 
@@ -146,7 +151,7 @@ class Connection:
     def _sent(self, code: MQTTErrorCode, number: int | None, topic: str) -> "asyncio.Future[bool]":
         future: asyncio.Future[bool] = self._loop.create_future()
         future.add_done_callback(_retrieved)
-        if code != MQTTErrorCode.MQTT_ERR_SUCCESS or self.ended.done():
+        if code != MQTTErrorCode.MQTT_ERR_SUCCESS:
             future.set_exception(BrokerError("the connection is gone"))
         elif number is None:
             future.set_result(True)
@@ -162,19 +167,27 @@ class Connection:
         if settings.user is not None:
             client.username_pw_set(settings.user, settings.password())
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]  # paho's has no types
-        properties.SessionExpiryInterval = 0
+        properties.SessionExpiryInterval = SESSION_S if self._heard is None else 0
         properties.MaximumPacketSize = MAX_INCOMING_BYTES
         properties.ReceiveMaximum = MAX_IN_FLIGHT
-        client.connect(settings.host, settings.tcp_port, KEEPALIVE_S, clean_start=True, properties=properties)
+        client.connect(
+            settings.host,
+            settings.tcp_port,
+            KEEPALIVE_S,
+            clean_start=self._heard is not None,
+            properties=properties,
+        )
         client.loop_start()
 
     async def _close(self) -> None:
         # the will is published, though we go by intent: the one way out is that of a crash, too
-        self._client.disconnect(ReasonCode(PacketTypes.DISCONNECT, "Disconnect with will message"))
+        client = self._client
+        client.disconnect(ReasonCode(PacketTypes.DISCONNECT, "Disconnect with will message"))
         self.end("closed")
         with suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_S):
-                await start_abandonable("leave broker", self._client.loop_stop)
+                await start_abandonable("leave broker", client.loop_stop)
+        client.reinitialise()  # closes the sockets that wake its thread: by itself it does so when it is collected
 
     def end(self, reason: str) -> None:
         """End it: what waits has a `BrokerError` with the reason."""
@@ -184,6 +197,11 @@ class Connection:
                 future.set_exception(BrokerError(reason))
                 _retrieved(future)
         self._waiting.clear()
+
+    def _begin(self, is_remembered: bool) -> None:
+        self.is_remembered = is_remembered
+        if not self._connected.done():
+            self._connected.set_result(None)
 
     def _acknowledge(self, number: int, reasons: list[ReasonCode]) -> None:
         topic, future = self._waiting.pop(number, ("", None))
@@ -202,7 +220,7 @@ class Connection:
         if reason.is_failure:
             self._soon(self.end, f"it refuses the connection: {reason}")
         else:
-            self._soon(_set, self._connected)
+            self._soon(self._begin, flags.session_present)
 
     def _on_disconnect(
         self,
@@ -231,7 +249,8 @@ class Connection:
 
     def _on_message(self, client: Client, _: Any, message: MQTTMessage) -> None:
         with suppress(UnicodeDecodeError):  # a topic that is no text is none of ours
-            self._soon(self._heard, message.topic, bytes(message.payload))
+            if self._heard is not None:
+                self._soon(self._heard, message.topic, bytes(message.payload))
 
     def _on_log(self, client: Client, _: Any, level: int, text: str) -> None:
         if level == LogLevel.MQTT_LOG_ERR:
@@ -240,11 +259,6 @@ class Connection:
     def _soon(self, call: Callable[..., None], *arguments: Any) -> None:
         with suppress(RuntimeError):  # the loop is closed: the process ends
             self._loop.call_soon_threadsafe(call, *arguments)
-
-
-def _set(future: "asyncio.Future[None]") -> None:
-    if not future.done():
-        future.set_result(None)
 
 
 def _retrieved(future: "asyncio.Future[Any]") -> None:

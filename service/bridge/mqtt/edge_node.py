@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from service.bridge.feeds import BridgeError
-from service.bridge.mqtt.connection import BrokerError, Connection, Message
+from service.bridge.mqtt.connection import BrokerConnection, BrokerError, MqttMessage
 from service.bridge.mqtt.link import Link
 from service.bridge.mqtt.settings import MqttSettings, SparkplugSettings
 from service.bridge.mqtt.sparkplug import N_NUMBERS, Node, host_state, state_topic
@@ -37,11 +37,13 @@ class EdgeNode:
         self._host_topic = None if place.primary_host is None else state_topic(place.primary_host)
         self._is_host_online = asyncio.Event()
         self._host_ms = 0  # time stamp of what the primary host said last
-        self._connection: Connection | None = None
+        self._connection: BrokerConnection | None = None
         self._rebirth: asyncio.TimerHandle | None = None
         self._born_s = 0.0  # by the monotonic clock; 0 before the birth of this connection
         self._has_told = False
-        self._link: Link[Connection] = Link(f"{settings.host} {place.group}/{place.node}", self._connect)
+        self._link: Link[BrokerConnection] = Link(
+            f"{settings.host} {place.group}/{place.node}", self._connect
+        )
 
     async def keep(self) -> None:
         """Keep connected until it is cancelled."""
@@ -60,7 +62,7 @@ class EdgeNode:
     async def tell_gap(self, gap: Gap) -> None:
         """Say nothing more: the log has it, and Sparkplug no word for it."""
 
-    def _connect(self) -> Connection:
+    def _connect(self) -> BrokerConnection:
         """Make a connection with the next number of births; the number outlives a restart."""
         try:
             self._number_file.parent.mkdir(parents=True, exist_ok=True)
@@ -70,9 +72,9 @@ class EdgeNode:
             raise BridgeError(f"{self._number_file}: {err.strerror}") from err
         self._node, self._born_s = Node(self._place, number), 0.0
         client_id = f"{self._settings.client_id}-sparkplug"
-        return Connection(self._settings, client_id, self._node.death(), self._hear)
+        return BrokerConnection(self._settings, client_id, self._node.death(), self._hear)
 
-    async def _serve(self, connection: Connection) -> None:
+    async def _serve(self, connection: BrokerConnection) -> None:
         self._connection = connection
         self._is_host_online.clear()
         await connection.subscribe(self._node.command_topic)
@@ -89,8 +91,8 @@ class EdgeNode:
                 self._rebirth.cancel()
                 self._rebirth = None
 
-    def _show(self, connection: Connection, now: PlantState) -> None:
-        """Tell what has changed; the device dies while the daemon does not answer."""
+    def _show(self, connection: BrokerConnection, now: PlantState) -> None:
+        """Publish changes since the last state; the device is dead while the daemon does not answer."""
         self._now, node = now, self._node
         if now.daemon_answers and node.is_device_alive:
             _send(connection, node.changes(now, _now_ms()))
@@ -139,7 +141,7 @@ class EdgeNode:
             self._connection.end("the primary host is offline")
 
 
-def _send(connection: Connection, messages: Sequence[Message]) -> None:
+def _send(connection: BrokerConnection, messages: Sequence[MqttMessage]) -> None:
     for message in messages:
         connection.send(message)
 

@@ -3,6 +3,8 @@
 import asyncio
 import json
 import logging
+import time
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from itertools import compress
@@ -11,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from service.bridge.feeds import BridgeError
-from service.bridge.mqtt.connection import BrokerError, Connection, Message
+from service.bridge.mqtt.connection import BrokerConnection, BrokerError, MqttMessage
 from service.bridge.mqtt.link import Link, pause_s
 from service.bridge.mqtt.settings import MqttSettings
 from service.bridge.mqtt.topics import (
@@ -28,6 +30,8 @@ from service.bridge.reference_client import Gap
 log = logging.getLogger(__name__)
 
 MAX_CHECKS = 500
+RECENT_S, MAX_RECENT = 10.0, 1000
+"""Results that a broker may have had in memory alone: a subscriber that is connected has them within this time."""
 
 
 class JsonTopics:
@@ -40,26 +44,46 @@ class JsonTopics:
         self._checks_file = plant.folder / self.name / "alarms.json"
         self._checks = _kept_checks(self._checks_file)
         self._waits_for_subscriber = settings.waits_for_subscriber
+        self._recent: deque[tuple[float, MqttMessage]] = deque(
+            maxlen=MAX_RECENT
+        )  # acknowledged, with the time
+        self._has_forgotten = asyncio.Event()
         will = status_message(prefix, "offline")
-        self._link: Link[Connection] = Link(
-            f"{settings.host} {prefix}", lambda: Connection(settings, settings.client_id, will)
+        self._link: Link[BrokerConnection] = Link(
+            f"{settings.host} {prefix}", lambda: BrokerConnection(settings, settings.client_id, will)
         )
 
     async def keep(self) -> None:
         """Keep connected until it is cancelled."""
-        await self._link.keep(self._serve)
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._link.keep(self._serve))
+            group.create_task(self._repeat())
 
     async def deliver(self, results: Sequence[Mapping[str, Any]]) -> None:
         """Return once the broker has acknowledged all of them."""
-        await self._send([result_message(self._prefix, result) for result in results])
+        messages = [result_message(self._prefix, result) for result in results]
+        await self._send(messages)
+        now_s = time.monotonic()
+        self._recent += [(now_s, message) for message in messages]
+        while self._recent[0][0] < now_s - RECENT_S:
+            self._recent.popleft()
+
+    async def _repeat(self) -> None:
+        """Send the newest results again whenever the broker was started anew: it may have lost what it acknowledged."""
+        while True:
+            await self._has_forgotten.wait()
+            self._has_forgotten.clear()
+            await self._send([message for _, message in self._recent])
 
     async def tell_gap(self, gap: Gap) -> None:
         """Tell that results were removed before they were read."""
         await self._send([gap_message(self._prefix, vars(gap))])
 
-    async def _serve(self, connection: Connection) -> None:
+    async def _serve(self, connection: BrokerConnection) -> None:
         """Set all that is retained anew, then what changes."""
         told: dict[str, Document] = {}
+        if not connection.is_remembered:
+            self._has_forgotten.set()
         await connection.deliver([status_message(self._prefix, "online")])
         async for now in self._plant.states():
             self._remember(alarm.check for alarm in now.alarms)
@@ -72,7 +96,7 @@ class JsonTopics:
                 self._link.open(connection)
             told = documents
 
-    async def _send(self, messages: list[Message]) -> None:
+    async def _send(self, messages: list[MqttMessage]) -> None:
         """Send until each is acknowledged, over as many connections as it takes; what nothing subscribes to waits.
 
         A broker that was started again may have lost its subscriptions: it would acknowledge, and drop.

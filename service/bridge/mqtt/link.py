@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import Generic, TypeVar
 
-from service.bridge.mqtt.connection import BrokerError, Connection
+from service.bridge.mqtt.connection import BrokerConnection, BrokerError
 
 log = logging.getLogger(__name__)
 
@@ -29,12 +29,12 @@ def pause_s(n_failed: int) -> float:
 class Link(Generic[T]):
     """Makes connections to the broker, one after the other; through each a sender `T` is open at times."""
 
-    def __init__(self, name: str, connect: Callable[[], Connection]) -> None:
+    def __init__(self, name: str, connect: Callable[[], BrokerConnection]) -> None:
         self._name, self._connect = name, connect
         self._sender: asyncio.Future[T] = asyncio.get_running_loop().create_future()
 
     async def sender(self) -> T:
-        """Return what can be sent with, as soon as there is one."""
+        """Return the open sender; wait while there is none."""
         return await asyncio.shield(self._sender)
 
     def open(self, sender: T) -> None:
@@ -47,7 +47,7 @@ class Link(Generic[T]):
         if self._sender.done():
             self._sender = asyncio.get_running_loop().create_future()
 
-    async def keep(self, serve: Callable[[Connection], Awaitable[None]]) -> None:
+    async def keep(self, serve: Callable[[BrokerConnection], Awaitable[None]]) -> None:
         """Connect again and again until it is cancelled; `serve` runs as long as the connection, and calls `open`."""
         now_s, n_failed = asyncio.get_running_loop().time, 0
         told: set[str] = set()  # reasons of this row of failures: each is told once
@@ -69,7 +69,7 @@ class Link(Generic[T]):
             n_failed += 1
 
 
-async def _while_connected(connection: Connection, serving: "asyncio.Future[None]") -> None:
+async def _while_connected(connection: BrokerConnection, serving: "asyncio.Future[None]") -> None:
     """Wait for the end of the connection or of what serves it; raise the error of either."""
     try:
         await asyncio.wait((serving, connection.ended), return_when=asyncio.FIRST_COMPLETED)

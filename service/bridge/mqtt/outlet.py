@@ -32,7 +32,10 @@ async def run(settings: MqttSettings, plant: Plant) -> None:
                 group.create_task(outlet.keep())
                 group.create_task(_deliver_all(plant, outlet))
     except* BridgeError as errors:
-        raise errors.exceptions[0] from None
+        error: BaseException = errors
+        while isinstance(error, BaseExceptionGroup):
+            error = error.exceptions[0]
+        raise error from None
 
 
 async def _deliver_all(plant: Plant, outlet: Outlet) -> None:

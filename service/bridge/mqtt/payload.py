@@ -50,7 +50,7 @@ class Metric:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sample:
+class MetricSample:
     """Value of a metric at a time; None is null."""
 
     metric: Metric
@@ -61,7 +61,9 @@ class Sample:
     """True for what was held back while broker or host was away."""
 
 
-def encode(samples: Iterable[Sample], at_ms: int | None, seq: int | None, *, is_birth: bool = False) -> bytes:
+def encode(
+    samples: Iterable[MetricSample], at_ms: int | None, seq: int | None, *, is_birth: bool = False
+) -> bytes:
     """Return a payload; without `seq` that of a node's death, in a birth with names, types and units.
 
     A value that its type cannot hold (a double that is no number, an integer beyond 64 bits) is null.
@@ -77,7 +79,7 @@ def encode(samples: Iterable[Sample], at_ms: int | None, seq: int | None, *, is_
 
 
 def is_set(content: bytes, name: str) -> bool:
-    """Return whether a command sets the metric of this name to true; raise `ValueError` if it is no payload."""
+    """True when a command sets the metric of this name to true; raises `ValueError` if it is no payload."""
     if len(content) > MAX_COMMAND_BYTES:
         raise ValueError(f"has {len(content)} bytes")
     try:
@@ -87,7 +89,7 @@ def is_set(content: bytes, name: str) -> bool:
     return any(metric.name == name and metric.boolean_value for metric in payload.metrics)
 
 
-def _add(told: Any, sample: Sample, is_birth: bool) -> None:
+def _add(told: Any, sample: MetricSample, is_birth: bool) -> None:
     metric = sample.metric
     if is_birth or metric.alias is None:
         told.name = metric.name

@@ -108,7 +108,7 @@ def _no_passphrase() -> str:
 
 
 def _level_problem(text: str) -> str | None:
-    """Return why a text is no level of a topic, None if it is one."""
+    """Return the reason that forbids a text as level of a topic, None if there is none."""
     if not text or FORBIDDEN & set(text) or "/" in text or not text.isprintable():
         return f"must be text without / # + and control characters, not {text!r}"
     if len(text.encode(errors="replace")) > MAX_NAME_BYTES:

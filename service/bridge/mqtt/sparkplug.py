@@ -13,8 +13,8 @@ from types import MappingProxyType
 from typing import Any
 
 from service.base.units import unit_of
-from service.bridge.mqtt.connection import Message
-from service.bridge.mqtt.payload import DataType, Metric, Sample, encode, is_set
+from service.bridge.mqtt.connection import MqttMessage
+from service.bridge.mqtt.payload import DataType, Metric, MetricSample, encode, is_set
 from service.bridge.mqtt.settings import SparkplugSettings
 from service.bridge.plant_state import PlantState
 
@@ -78,35 +78,35 @@ class Node:
         """Topic on which a rebirth is asked for."""
         return self._topic("NCMD")
 
-    def death(self) -> Message:
+    def death(self) -> MqttMessage:
         """Return the node's death, which is the will of its connection."""
-        samples = [Sample(metric=BD_SEQ, value=self._bd_seq)]
-        return Message(topic=self._topic("NDEATH"), payload=encode(samples, None, None))
+        samples = [MetricSample(metric=BD_SEQ, value=self._bd_seq)]
+        return MqttMessage(topic=self._topic("NDEATH"), payload=encode(samples, None, None))
 
-    def births(self, now: PlantState, at_ms: int, last_result: Mapping[str, Any] | None) -> list[Message]:
+    def births(self, now: PlantState, at_ms: int, last_result: Mapping[str, Any] | None) -> list[MqttMessage]:
         """Return the births of the node and, while the daemon answers, of the device."""
         self._seq = 0
         samples = [
-            Sample(metric=BD_SEQ, value=self._bd_seq, at_ms=at_ms),
-            Sample(metric=REBIRTH, value=False, at_ms=at_ms),
+            MetricSample(metric=BD_SEQ, value=self._bd_seq, at_ms=at_ms),
+            MetricSample(metric=REBIRTH, value=False, at_ms=at_ms),
         ]
         self.is_device_alive = False
         node = self._message("NBIRTH", samples, at_ms, is_birth=True)
         return [node, *([self.device_birth(now, at_ms, last_result)] if now.daemon_answers else [])]
 
-    def device_birth(self, now: PlantState, at_ms: int, last_result: Mapping[str, Any] | None) -> Message:
+    def device_birth(self, now: PlantState, at_ms: int, last_result: Mapping[str, Any] | None) -> MqttMessage:
         """Return the birth of the device, with each metric that there will be, and its present value."""
         self.is_device_alive, self._born_ms = True, milliseconds(now.at, at_ms)
         self._values = values_of(now)
         samples = _samples(self._values, self._born_ms) + _result_samples(last_result or {}, self._born_ms)
         return self._message("DBIRTH", samples, at_ms, is_birth=True)
 
-    def device_death(self, at_ms: int) -> Message:
+    def device_death(self, at_ms: int) -> MqttMessage:
         """Return the death of the device: the daemon does not answer."""
         self.is_device_alive = False
         return self._message("DDEATH", [], at_ms)
 
-    def changes(self, now: PlantState, at_ms: int) -> list[Message]:
+    def changes(self, now: PlantState, at_ms: int) -> list[MqttMessage]:
         """Return the data of what has changed since it was told last; none if nothing has."""
         values = values_of(now)
         changed = {name: value for name, value in values.items() if value != self._values[name]}
@@ -114,7 +114,7 @@ class Node:
         samples = _samples(changed, milliseconds(now.at, at_ms))
         return [self._message("DDATA", samples, at_ms)] if samples else []
 
-    def result(self, result: Mapping[str, Any], at_ms: int) -> Message:
+    def result(self, result: Mapping[str, Any], at_ms: int) -> MqttMessage:
         """Return the data of one result, all its metrics at the time it was captured.
 
         Historical is what had become durable before the device was born, by the daemon's clock.
@@ -129,10 +129,12 @@ class Node:
         """True when a command asks for a rebirth; raises `ValueError` if it is no command at all."""
         return is_set(content, REBIRTH.name)
 
-    def _message(self, verb: str, samples: list[Sample], at_ms: int, *, is_birth: bool = False) -> Message:
+    def _message(
+        self, verb: str, samples: list[MetricSample], at_ms: int, *, is_birth: bool = False
+    ) -> MqttMessage:
         content = encode(samples, at_ms, self._seq, is_birth=is_birth)
         self._seq = (self._seq + 1) % N_NUMBERS
-        return Message(topic=self._topic(verb), payload=content, qos=0)
+        return MqttMessage(topic=self._topic(verb), payload=content, qos=0)
 
     def _topic(self, verb: str) -> str:
         place = self._settings
@@ -146,7 +148,7 @@ def values_of(now: PlantState) -> dict[str, Any]:
 
 
 def host_state(content: bytes) -> tuple[bool, int]:
-    """Return whether a host says that it is online, and its time stamp (6.4.27); raise `ValueError` if neither."""
+    """Parse the STATE of a host, online and time stamp (6.4.27); raise `ValueError` if it is none."""
     try:
         told = json.loads(content)
     except (ValueError, RecursionError) as err:
@@ -170,16 +172,16 @@ def milliseconds(time: Any, otherwise: int) -> int:
         return otherwise
 
 
-def _samples(values: Mapping[str, Any], at_ms: int, *, is_historical: bool = False) -> list[Sample]:
+def _samples(values: Mapping[str, Any], at_ms: int, *, is_historical: bool = False) -> list[MetricSample]:
     return [
-        Sample(metric=METRICS[name], value=value, at_ms=at_ms, is_historical=is_historical)
+        MetricSample(metric=METRICS[name], value=value, at_ms=at_ms, is_historical=is_historical)
         for name, value in values.items()
     ]
 
 
 def _result_samples(
     result: Mapping[str, Any], otherwise_ms: int, *, is_historical: bool = False
-) -> list[Sample]:
+) -> list[MetricSample]:
     values = {f"result/{name}": result.get(name) for name in RESULT_TYPES}
     return _samples(
         values, milliseconds(result.get("captured_at"), otherwise_ms), is_historical=is_historical

@@ -8,7 +8,7 @@ from typing import Any
 from urllib.parse import quote
 
 from pipeline.gradation.estimates import Estimate
-from service.bridge.mqtt.connection import Message
+from service.bridge.mqtt.connection import MqttMessage
 from service.bridge.plant_state import PlantAlarm, PlantState
 
 STATUS, RESULTS, GAPS, ALARMS = "status", "results", "gaps", "alarms"
@@ -60,24 +60,24 @@ def alarm_topic(check: str) -> str:
     return f"{ALARMS}/{quote(check[:MAX_CHECK_CHARS], safe=':', errors='replace')}"
 
 
-def retained_message(prefix: str, topic: str, document: Document, at: str | None) -> Message:
+def retained_message(prefix: str, topic: str, document: Document, at: str | None) -> MqttMessage:
     """Return the message of a retained document, with the moment that it is of."""
-    return Message(topic=f"{prefix}/{topic}", payload=payload({**document, "at": at}), is_retained=True)
+    return MqttMessage(topic=f"{prefix}/{topic}", payload=payload({**document, "at": at}), is_retained=True)
 
 
-def status_message(prefix: str, status: str) -> Message:
-    """Return what is retained of the bridge itself: `online`, or as its will `offline`."""
-    return Message(topic=f"{prefix}/{STATUS}", payload=payload({"status": status}), is_retained=True)
+def status_message(prefix: str, status: str) -> MqttMessage:
+    """Return the retained status of the bridge itself: `online`, or as its will `offline`."""
+    return MqttMessage(topic=f"{prefix}/{STATUS}", payload=payload({"status": status}), is_retained=True)
 
 
-def result_message(prefix: str, result: Document) -> Message:
+def result_message(prefix: str, result: Document) -> MqttMessage:
     """Return the message of one result, as it is in the feed."""
-    return Message(topic=f"{prefix}/{RESULTS}", payload=payload(result))
+    return MqttMessage(topic=f"{prefix}/{RESULTS}", payload=payload(result))
 
 
-def gap_message(prefix: str, gap: Document) -> Message:
-    """Return what says that results were removed before they were read."""
-    return Message(topic=f"{prefix}/{GAPS}", payload=payload(gap))
+def gap_message(prefix: str, gap: Document) -> MqttMessage:
+    """Return the message of a gap: results that were removed before they were read."""
+    return MqttMessage(topic=f"{prefix}/{GAPS}", payload=payload(gap))
 
 
 def payload(document: Document) -> bytes:

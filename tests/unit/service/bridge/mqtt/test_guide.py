@@ -14,6 +14,7 @@ from support.mosquitto import MOSQUITTO_SUB, Mosquitto, Subscriber, publish, wri
 from support.plants import FakePlant, result
 
 from service.bridge.mqtt.connection import KEEPALIVE_S
+from service.bridge.mqtt.json_topics import RECENT_S
 from service.bridge.mqtt.link import FIRST_PAUSE_S, LONGEST_PAUSE_S
 from service.bridge.mqtt.outlet import BATCH, run
 from service.bridge.mqtt.payload import DataType
@@ -48,7 +49,7 @@ def test_the_table_of_metrics_has_names_and_units(data_type: DataType) -> None:
 def test_numbers_are_those_of_the_code() -> None:
     for told in (
         f"{BATCH} results at a time", f"more than {MAX_PAYLOAD_BYTES // 1024} kB",
-        f"after {2 * KEEPALIVE_S} s of silence",
+        f"after {2 * KEEPALIVE_S} s of silence", f"results of the last {RECENT_S:g} s",
         f"after {FIRST_PAUSE_S:g} s, then ever later, {LONGEST_PAUSE_S:g} s at most",
     ):  # fmt: skip
         assert told in SECTION, told

@@ -1,6 +1,6 @@
 """Bridge and broker are killed again and again while results come, and the daemon answers badly: each comes once.
 
-`mosquitto_sub` is who receives. What comes twice was acknowledged just before a kill: id and revision tell it.
+`mosquitto_sub` is who receives. What comes twice was acknowledged just before a kill: its id and revision tell it.
 """
 
 import random
@@ -16,8 +16,6 @@ from support.extents import Extent, first_quick
 from support.fake_feed import FakeFeed, Refusal, Torn, serving
 from support.mosquitto import Mosquitto, Subscriber
 from support.warm_stonefall import WarmStonefall
-
-from service.bridge.mqtt.outlet import BATCH
 
 RESULTS, DDATA = "stonefall/line-1/results", "spBv1.0/stonefall/DDATA/bridge/rig"
 
@@ -66,8 +64,6 @@ def test_each_result_comes_once_over_kills_of_bridge_and_broker(n_kills: int, tm
                 daemon.next_answers.append(dice.choice([Refusal(503, "store-held"), Torn(0.5)]))
             eventually(lambda: set(seqs(there)) == set(range(1, daemon.last_seq + 1)))
             eventually(lambda: len(there.of(DDATA)) > 0)
-            n_twice = len(seqs(there)) - daemon.last_seq
-            assert n_twice <= n_kills * BATCH, n_twice
             bridge.send_signal(signal.SIGTERM)
             assert bridge.wait() == 0
             eventually(lambda: there.newest("stonefall/line-1/status") == {"status": "offline"})

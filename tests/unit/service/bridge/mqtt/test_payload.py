@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.wire import fields_of
 
-from service.bridge.mqtt.payload import MAX_COMMAND_BYTES, DataType, Metric, Sample, encode, is_set
+from service.bridge.mqtt.payload import MAX_COMMAND_BYTES, DataType, Metric, MetricSample, encode, is_set
 
 SIZE = Metric(name="m", data_type=DataType.DOUBLE, alias=7, unit="mm")
 REBIRTH = Metric(name="Node Control/Rebirth", data_type=DataType.BOOLEAN)
@@ -21,7 +21,7 @@ def sample(value: Any, data_type: DataType) -> bytes:
     metric = Metric(name="m", data_type=data_type, alias=7)
     ((_, found),) = [
         each
-        for each in fields_of(encode([Sample(metric=metric, value=value, at_ms=1000)], 1000, 5))
+        for each in fields_of(encode([MetricSample(metric=metric, value=value, at_ms=1000)], 1000, 5))
         if each[0] == 2
     ]
     assert isinstance(found, bytes)
@@ -29,13 +29,13 @@ def sample(value: Any, data_type: DataType) -> bytes:
 
 
 def test_data_has_the_bytes_of_the_schema() -> None:
-    data = encode([Sample(metric=SIZE, value=11.5, at_ms=1000)], 1000, 5)
+    data = encode([MetricSample(metric=SIZE, value=11.5, at_ms=1000)], 1000, 5)
     # timestamp = 1: 1000; metrics = 2: alias = 2: 7, timestamp = 3: 1000, double_value = 13: 11.5; seq = 3: 5
     assert data == bytes.fromhex("08e807 120e 1007 18e807 690000000000002740 1805")
 
 
 def test_a_birth_has_name_type_and_unit_as_well() -> None:
-    birth = encode([Sample(metric=SIZE, value=11.5, at_ms=1000)], 1000, 0, is_birth=True)
+    birth = encode([MetricSample(metric=SIZE, value=11.5, at_ms=1000)], 1000, 0, is_birth=True)
     # name = 1, alias = 2, timestamp = 3, datatype = 4: 10, properties = 9; in these keys = 1,
     # values = 2: type = 1: 12, string_value = 8
     properties = "4a11 0a07 656e67556e6974 1206 080c 42026d6d"
@@ -43,14 +43,14 @@ def test_a_birth_has_name_type_and_unit_as_well() -> None:
 
 
 def test_what_is_unknown_is_null_and_has_no_value() -> None:
-    data = encode([Sample(metric=SIZE, value=None, at_ms=1000, is_historical=True)], 1000, 255)
+    data = encode([MetricSample(metric=SIZE, value=None, at_ms=1000, is_historical=True)], 1000, 255)
     # is_historical = 5, is_null = 7
     assert data == bytes.fromhex("08e807 1209 1007 18e807 2801 3801 18ff01")
 
 
 def test_a_death_has_its_number_by_name_and_neither_sequence_nor_time() -> None:
     number = Metric(name="bdSeq", data_type=DataType.INT64)
-    assert encode([Sample(metric=number, value=3)], None, None) == bytes.fromhex(
+    assert encode([MetricSample(metric=number, value=3)], None, None) == bytes.fromhex(
         "120b 0a056264536571 2004 5803"
     )
 
@@ -109,7 +109,7 @@ def test_lists_are_json() -> None:
 
 
 def test_a_rebirth_is_understood_however_it_was_encoded() -> None:
-    told = encode([Sample(metric=REBIRTH, value=True, at_ms=1)], 1, None)
+    told = encode([MetricSample(metric=REBIRTH, value=True, at_ms=1)], 1, None)
     assert is_set(told, REBIRTH.name)
     assert is_set(bytes.fromhex("12180a144e6f646520436f6e74726f6c2f526562697274687001"), REBIRTH.name)
 
@@ -118,11 +118,15 @@ def test_a_rebirth_is_understood_however_it_was_encoded() -> None:
     "content",
     [
         b"",
-        encode([Sample(metric=REBIRTH, value=False, at_ms=1)], 1, 0),
+        encode([MetricSample(metric=REBIRTH, value=False, at_ms=1)], 1, 0),
         encode(
-            [Sample(metric=Metric(name="Node Control/Reboot", data_type=DataType.BOOLEAN), value=True)], 1, 0
+            [MetricSample(metric=Metric(name="Node Control/Reboot", data_type=DataType.BOOLEAN), value=True)],
+            1,
+            0,
         ),
-        encode([Sample(metric=Metric(name=REBIRTH.name, data_type=DataType.STRING), value="true")], 1, 0),
+        encode(
+            [MetricSample(metric=Metric(name=REBIRTH.name, data_type=DataType.STRING), value="true")], 1, 0
+        ),
     ],
 )
 def test_nothing_else_is_a_rebirth(content: bytes) -> None:

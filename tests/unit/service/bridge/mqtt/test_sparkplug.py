@@ -10,7 +10,7 @@ from support.plants import ANSWERS, result
 from support.wire import fields_of
 
 from pipeline.gradation.estimates import Estimate, State
-from service.bridge.mqtt.connection import Message
+from service.bridge.mqtt.connection import MqttMessage
 from service.bridge.mqtt.payload import DataType
 from service.bridge.mqtt.settings import SparkplugSettings
 from service.bridge.mqtt.sparkplug import METRICS, RESULT_TYPES, STATE_TYPES, Node, host_state, values_of
@@ -24,7 +24,7 @@ ALARM = PlantAlarm(
 )  # fmt: skip
 
 
-def decoded(message: Message) -> dict[str, Any]:
+def decoded(message: MqttMessage) -> dict[str, Any]:
     """Return time, sequence and metrics of a message, each metric as its fields by number."""
     found = fields_of(message.payload)
     plain = {number: value for number, value in found if number != 2}
@@ -35,7 +35,7 @@ def decoded(message: Message) -> dict[str, Any]:
     }
 
 
-def by_alias(message: Message) -> dict[str, dict[int, Any]]:
+def by_alias(message: MqttMessage) -> dict[str, dict[int, Any]]:
     names = {metric.alias: name for name, metric in METRICS.items()}
     return {names[metric[2]]: metric for metric in decoded(message)["metrics"]}
 
