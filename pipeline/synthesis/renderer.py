@@ -6,10 +6,10 @@ Every random number comes from the generator that is passed in; one exposure is 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
-from embreex.rtcore_scene import EmbreeScene
 
 from pipeline.arrays import Directions, FloatImage, Indices, Matrix33, PointsMM, Values, Vector
 from pipeline.frames import CameraId, Image
@@ -23,6 +23,9 @@ from pipeline.synthesis.exposure import ExposureParameters, blur_kernel, blurred
 from pipeline.synthesis.pixel_coverage import Window
 from pipeline.synthesis.rock_patterns import rock_pattern
 from pipeline.synthesis.rock_textures import SPECTRUM_TRUE
+
+if TYPE_CHECKING:
+    from embreex.rtcore_scene import EmbreeScene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,7 +58,8 @@ def simulate_rig(
     parameters: ExposureParameters | None = None,
     wall_kind: WallKind = WallKind.PANELS,
 ) -> RenderedRig:
-    """Return a rig in a random housing."""
+    """Return a rig in a random housing; raise `PipelineError` without the extra [synthesis]."""
+    shading.require_embree()
     parameters = parameters or ExposureParameters()
     wall = build_wall(rig, rng, wall_kind)
     backgrounds = render_backgrounds(rig, wall, rng, parameters.lens)
@@ -87,7 +91,7 @@ class LitSurface:
     mesh: trimesh.Trimesh  # world frame
     center_mm: PointsMM  # (1, 3)
     edges: pixel_coverage.MeshEdges
-    scene: EmbreeScene
+    scene: "EmbreeScene"
     face_radiance: Values  # diffuse, of each face
     grain: shading.Grain | None  # what texture finer than faces adds to it
     gloss: float

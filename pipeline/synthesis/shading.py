@@ -8,14 +8,15 @@ other if that is asked for, by light that they reflect once.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import trimesh
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 
 from pipeline.arrays import Directions, FloatImage, Indices, PointsMM, Values
+from pipeline.errors import PipelineError
 from pipeline.geometry.icosphere import icosphere
 from pipeline.rig.cameras import CameraCalibration
 from pipeline.synthesis.background import WALL_GREY
@@ -23,6 +24,9 @@ from pipeline.synthesis.bodies import Body, SurfaceKind
 from pipeline.synthesis.pixel_coverage import Window
 from pipeline.synthesis.stones import wave_noise
 from pipeline.synthesis.thin_lens import disc_kernel
+
+if TYPE_CHECKING:
+    from embreex.rtcore_scene import EmbreeScene
 
 TEXTURE_WAVELENGTHS_MM = (8.0, 3.0, 1.2)
 RELATIVE_GREYS = (0.4, 1.7)
@@ -57,8 +61,20 @@ class Grain:
     """Pixel step on which it is looked up."""
 
 
-def embree_scene(mesh: trimesh.Trimesh) -> EmbreeScene:
+def require_embree() -> None:
+    """Raise `PipelineError` where embreex is missing: a plant's installation has no use for it, and arm64 has none."""
+    if find_spec("embreex") is None:
+        raise PipelineError(
+            "to render bodies needs the extra [synthesis], which is not installed:"
+            " pip install --require-hashes -r deploy/requirements-synthesis.lock (amd64 only)"
+        )
+
+
+def embree_scene(mesh: trimesh.Trimesh) -> "EmbreeScene":
     """Return the mesh ready for ray casting (float32: within 2e-6 mm on a body of 40 mm)."""
+    from embreex.mesh_construction import TriangleMesh  # here: an extra, which only rendering needs
+    from embreex.rtcore_scene import EmbreeScene
+
     scene = EmbreeScene()
     TriangleMesh(scene, np.array(mesh.vertices, dtype=np.float32), np.array(mesh.faces, dtype=np.int32))
     return scene
@@ -76,7 +92,7 @@ def texture(body: Body, rng: np.random.Generator) -> Values:
     return np.asarray(matte * np.clip(1 + relative, *RELATIVE_GREYS))
 
 
-def irradiance(mesh: trimesh.Trimesh, scene: EmbreeScene, rng: np.random.Generator) -> Values:
+def irradiance(mesh: trimesh.Trimesh, scene: "EmbreeScene", rng: np.random.Generator) -> Values:
     """Return the light (F,) that each face receives, 1 for an unoccluded one that faces the horizon.
 
     Monte-Carlo over cosine-distributed directions: what the body itself occludes is dark.
@@ -94,7 +110,7 @@ def irradiance(mesh: trimesh.Trimesh, scene: EmbreeScene, rng: np.random.Generat
 
 def even_irradiance(
     mesh: trimesh.Trimesh,
-    scene: EmbreeScene,
+    scene: "EmbreeScene",
     face_radiance: Values | float = 0.0,
     subdivisions: int = DIRECTION_SUBDIVISIONS,
 ) -> Values:
@@ -124,7 +140,7 @@ def lamps(rng: np.random.Generator) -> Directions:
 
 def reflection(
     mesh: trimesh.Trimesh,
-    scene: EmbreeScene,
+    scene: "EmbreeScene",
     lamps: Directions,
     camera: CameraCalibration,
     face_radiance: Values | None = None,
@@ -149,7 +165,7 @@ def reflection(
 
 
 def surface_image(
-    scene: EmbreeScene,
+    scene: "EmbreeScene",
     face_radiance: Values,
     camera: CameraCalibration,
     window: Window,

@@ -122,6 +122,7 @@ def command(options: SynthesizeOptions) -> None:
     design, true_rig = _shrunk(design, options.shrink), _shrunk(true_rig, options.shrink)
     names = [name.strip() for name in options.bodies.split(",")]
     timing = Timing(period_ns=round(1e9 / options.rate_hz))
+    simulated = simulate_rig(true_rig, stream(options.seed, HOUSING), exposure)
     writer = RecordingWriter(
         options.out,
         RecordingSource(
@@ -148,7 +149,6 @@ def command(options: SynthesizeOptions) -> None:
     )
     with writer:
         sources = [_body_source(name, options.size_mm) for name in names]
-        simulated = simulate_rig(true_rig, stream(options.seed, HOUSING), exposure)
         if options.rig is None:
             write_rig(writer.folder / "rig-nominal.json", design)
         (writer.folder / "truth").mkdir()

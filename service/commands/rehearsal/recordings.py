@@ -46,13 +46,13 @@ def rehearsed_recording(kind: RehearsedRecording) -> Path:
 
 def _write(kind: RehearsedRecording, path: Path) -> None:
     rig = small_rig()
+    simulated = simulate_rig(rig, stream(SEED, 0))
     writer = RecordingWriter(
         path,
         RecordingSource(camera_ids=rig.camera_ids, rig=rig, is_simulated=True),
         made_by={"command": "rehearse", "recording": kind.value},
         compression="zstd",
     )
-    simulated = simulate_rig(rig, stream(SEED, 0))
     with writer:
         for number in range(1, N_EMPTY + 1):
             writer.add(render_empty(simulated, stream(SEED, 1, number), sequence=number))

@@ -1,4 +1,6 @@
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +14,14 @@ from typer.testing import CliRunner
 from drivers.errors import RecordingError
 from drivers.files.recording import open_recording, read_bundle
 from drivers.files.rig_file import read_rig, write_rig
+from pipeline.errors import PipelineError
 from pipeline.fall import speed_mm_s
 from pipeline.frames import BundleKind, CameraId, FrameBundle
+from pipeline.synthesis import shading
 from service.base.errors import UsageError
 from service.commands.synthesize import command
+
+REPOSITORY = Path(__file__).parents[4]
 
 
 @pytest.fixture
@@ -32,6 +38,21 @@ def bundles_of(path: Path) -> list[FrameBundle]:
 
 def same_pixels(a: FrameBundle, b: FrameBundle) -> bool:
     return all(np.array_equal(a.frames[camera].image, b.frames[camera].image) for camera in a.frames)
+
+
+def test_without_the_extra_it_says_so_and_leaves_nothing(
+    tmp_path: Path, rig_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shading, "find_spec", lambda name: None)
+    with pytest.raises(PipelineError, match=r"extra \[synthesis\].*requirements-synthesis\.lock"):
+        command(tmp_path / "recording", rig=rig_path)
+    assert not (tmp_path / "recording").exists()
+
+
+def test_only_rendering_needs_the_extra() -> None:
+    code = "import sys; sys.modules['embreex'] = None; import service.commands.synthesize, service.commands.rehearse"
+    subprocess.run([sys.executable, "-c", code], check=True)
+    assert "embreex" not in (REPOSITORY / "deploy/requirements.lock").read_text()
 
 
 def test_a_recording_of_known_bodies_with_its_truth(tmp_path: Path, rig_path: Path) -> None:
