@@ -2,8 +2,13 @@
 
 Run: .venv/bin/python tests/benchmarks/live.py [--seconds 300] [--rate 4] [--size-mm 5] [--loss 0] [--keep-raw 0]
      [--segmenter auto|onnx|background]
+     .venv/bin/python tests/benchmarks/live.py --rates 4,10,20,30 [--seconds 30] [--size-mm 15]    a table by rate
      .venv/bin/python tests/benchmarks/live.py --receiving [--seconds 20] [--rate 4]    receives alone, in several ways
 Exits with 1 if a stone is missing or lost, the counts of driver and simulator differ, or memory grows.
+
+With `--rates` the gate makes the delay, several stones are in the air, images have a quarter of the pixels in each
+direction, as two cores do not simulate sixteen whole cameras so fast, and stones pass the gate at 1.4 m/s; each rate
+with estimates only, and refined while there is time.
 """
 
 import argparse
@@ -49,6 +54,8 @@ MAX_GROWTH_MB = 40.0
 POLL_S = 2.0
 IDLE_S = 8.0
 SETTLE_S = 2.0
+GATE_SPEED_MM_S = 1400.0
+"""Of stones that fall 100 mm to the beam: at 30 a second the beam is open again before the next one."""
 ARAVIS_THREAD = "arv_gv_stream"
 """Name of the threads in which Aravis receives packets, one a camera."""
 
@@ -58,6 +65,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=300)
     parser.add_argument("--rate", type=float, default=4)
     parser.add_argument("--size-mm", type=float, default=5)
+    parser.add_argument("--rates", type=lambda text: [float(rate) for rate in text.split(",")], default=[])
     parser.add_argument("--loss", type=float, default=0, help="probability of losing a packet")
     parser.add_argument("--keep-raw", type=int, default=0)
     parser.add_argument(
@@ -82,13 +90,96 @@ def main() -> int:
             n_stones=N_STONES,
             n_empty=N_EMPTY,
             seed=11,
+            speed_mm_s=GATE_SPEED_MM_S if arguments.rates else None,
         )
+        if arguments.rates:
+            return by_rate(folder, spool, arguments)
         with SimulatorProcess(
             folder, folder / "recording", rate_hz=arguments.rate, address=ADDRESS
         ) as simulator:
             if arguments.receiving:
                 return compare_receiving(simulator, arguments)
             return soak(folder, spool, simulator, arguments)
+
+
+def by_rate(folder: Path, spool: str, arguments: Any) -> int:
+    """Let stones fall at each rate, and show what is lost and what a stone costs; 1 if any is lost."""
+    table = Table(
+        "stones/s, body asked for",
+        "fell",
+        "lost",
+        "with 16 views",
+        "refined",
+        "ms to result: p50, p95, p99, max",
+        "processor ms a stone: daemon",
+        "workers, cameras",
+        "simulator",
+        title=f"{arguments.seconds:g} s each, {arguments.size_mm:g} mm, images of 320 x 256 px",
+    )
+    n_lost = 0
+    for rate_hz in arguments.rates:
+        for body in ("estimate", "photo"):
+            folder_of_run = folder / f"{rate_hz:g}-{body}"
+            folder_of_run.mkdir()
+            with SimulatorProcess(
+                folder_of_run, folder / "recording", rate_hz=rate_hz, address=ADDRESS
+            ) as simulator:
+                row, lost = run_at(folder_of_run, spool, simulator, body, arguments)
+            n_lost += lost
+            table.add_row(f"{rate_hz:g}, {body}", *row)
+    show(table, as_json=arguments.json, width=150)
+    return int(n_lost > 0)
+
+
+def run_at(
+    folder: Path, spool: str, simulator: SimulatorProcess, body: str, arguments: Any
+) -> tuple[list[str], int]:
+    """Return a row of the table, and how many stones were lost or have no trigger."""
+    with DaemonProcess(
+        folder,
+        folder,
+        rig=simulator.section.replace("is_simulated", 'delay = "gate"\nis_simulated'),
+        voxels=256,
+        spool=spool,
+        body=body,
+        slots=2,
+        command=(STONEFALL,),
+    ) as daemon:
+        daemon.hear("READY=1")
+        daemon.wait_for("/acquisition", lambda now: now["state"] == "armed" and now["cameras_armed"] == 16)
+        daemon.wait_for("/accounting", lambda now: now["backgrounds"] == 2)
+        time.sleep(1)
+
+        def spent_s() -> list[float]:
+            pid = daemon.process.pid
+            groups = ([pid], [each for each in descendants_of(pid) if each != pid], [simulator.process.pid])
+            return [cpu_s(each) for each in groups]
+
+        before_s = spent_s()
+        simulator.ask({"do": "start"})
+        time.sleep(arguments.seconds)
+        simulator.ask({"do": "stop"})
+        time.sleep(POLL_S)
+        while daemon.get("/accounting")["in_progress"]:
+            time.sleep(POLL_S)  # asking costs the daemon time, too
+        after_s = spent_s()
+        counted, counts = simulator.ask({"do": "counters"}), daemon.get("/accounting")
+        results: list[dict[str, Any]] = []
+        while page := daemon.get(f"/results?after={len(results)}&limit=1000")["items"]:
+            results += page
+    fell = counted["belt"]["stones"]
+    lost = counts["lost"] + fell - counts["triggers"]
+    costs_ms = [
+        f"{1e3 * (after - before) / fell:.0f}" for before, after in zip(before_s, after_s, strict=True)
+    ]
+    return [
+        str(fell),
+        str(lost),
+        str(sum(len(result["views"]) == 16 for result in results)),
+        str(sum(result["body"] == "photo" for result in results)),
+        percentiles([since_exposure_ms(result) for result in results]),
+        *costs_ms,
+    ], lost
 
 
 def soak(folder: Path, spool: str, simulator: SimulatorProcess, arguments: Any) -> int:

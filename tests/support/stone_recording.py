@@ -8,11 +8,14 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from support import rendered
+from support.small_recording import thumbnail_rig
 
 from drivers.files.recording import Recording, read_bundle
+from pipeline.fall import pulse_width_ns
 from pipeline.frames import FrameBundle
 from pipeline.synthesis.bundles import FIRST_NS, LAST_FRAME_ID, render_bundle, render_empty, stream
 from pipeline.synthesis.placement import tumble
+from pipeline.synthesis.renderer import simulate_rig
 from pipeline.synthesis.stones import stone
 
 ROUND_STONES = 60
@@ -21,9 +24,24 @@ ROUND_GAP_S = 0.25
 """From the last trigger of a recording to the first when it is played again."""
 
 
-def write_stones(path: Path, form: str, *, size_mm: float, n_stones: int, n_empty: int, seed: int) -> None:
-    """Exposures of the empty rig, then stones; about a second each."""
+def write_stones(
+    path: Path,
+    form: str,
+    *,
+    size_mm: float,
+    n_stones: int,
+    n_empty: int,
+    seed: int,
+    speed_mm_s: float | None = None,
+) -> None:
+    """Exposures of the empty rig, then stones; about a second each.
+
+    With a speed at the gate pulses are as short as that makes them, and images have a quarter of the pixels each way.
+    """
     rig, simulated = rendered.rig(), rendered.simulated()
+    if speed_mm_s is not None:
+        rig = thumbnail_rig()
+        simulated = simulate_rig(rig, stream(seed, 2))
     made_by = {"benchmark": {"form": form, "size_mm": size_mm}}
     with rendered.recording_of(path, rig, made_by, compression="none") as writer:
         for number in range(1, n_empty + 1):
@@ -32,7 +50,11 @@ def write_stones(path: Path, form: str, *, size_mm: float, n_stones: int, n_empt
         for number in track(numbers, "rendering", console=Console(stderr=True), transient=True):
             rng = stream(seed, 1, number)
             placed = tumble(stone(form, size_mm, rng), rig, rng)
-            writer.add(render_bundle([placed], simulated, rng, sequence=number, label=form))
+            bundle = render_bundle([placed], simulated, rng, sequence=number, label=form)
+            if speed_mm_s is not None:
+                short = replace(bundle.trigger, pulse_width_ns=pulse_width_ns(size_mm, speed_mm_s))
+                bundle = replace(bundle, trigger=short)
+            writer.add(bundle)
 
 
 def write_paced(path: Path, recording: Recording, rate_hz: float) -> NDArray[np.float64]:
