@@ -1,1 +1,1 @@
-"""Installation of a release on a Debian 12 host, by the standard library alone; `deploy/install` runs it."""
+"""Installation of a release on a Debian host, by the standard library alone; `deploy/install` runs it."""

@@ -10,10 +10,10 @@ from installer import placement, releases, selftest, service
 from installer.host import COMPILED, USER, Host, InstallError
 from installer.releases import Release
 
-BRIDGE = "/etc/stonefall-bridge/bridge.toml"
-"""Where it is, the packages of the bridge are installed as well."""
-PARTS = ("README.md", "deploy", "systemd", "selftest", "service", "drivers", "pipeline", "tests")
+PARTS = ("README.md", "deploy", "systemd", "selftest", "share", "service", "drivers", "pipeline", "tests")
 """What goes into a release beside its environment: guides, the installer, what is placed in /etc, the self-test."""
+PACKAGE = Path("/usr/lib/stonefall")
+"""Where the Debian package has its bundle, which nobody edits and apt replaces as a whole."""
 
 
 def build(host: Host, bundle: Path, release: Release) -> bool:
@@ -26,6 +26,8 @@ def build(host: Host, bundle: Path, release: Release) -> bool:
     """
     folder = release.folder(host)
     present = next((each for each in releases.installed(host) if each.version == release.version), None)
+    if present is not None and present.debian != release.debian:  # the host was upgraded: another Python
+        present = None
     if present is not None and present.commit != release.commit:
         raise InstallError(
             f"release {release.version} is installed from commit {present.commit[:7]}, this is {release.commit[:7]}:"
@@ -33,7 +35,7 @@ def build(host: Host, bundle: Path, release: Release) -> bool:
         )
     is_done = present is not None
     steps = (
-        (f"{folder}: environment, from the wheels", partial(make_environment, host, bundle, release)),
+        (f"{folder}: environment", partial(copy_environment, bundle, folder)),
         (f"{folder}: guides, installer, self-test", partial(copy_parts, bundle, folder)),
         ("account and folders of the service", partial(make_accounts, host, release)),
         ("compile loops for this processor", partial(compile_loops, host, release)),
@@ -52,25 +54,26 @@ def build(host: Host, bundle: Path, release: Release) -> bool:
     return not is_done
 
 
-def make_environment(host: Host, bundle: Path, release: Release) -> None:
-    """Install the wheels of a bundle, by the hashes of its lock, into the folder of the release."""
-    folder = release.folder(host)
-    if folder.exists():  # an earlier installation was interrupted
+def copy_environment(bundle: Path, folder: Path) -> None:
+    """Copy the environment of a bundle to the folder that it was made for; link the files of the package."""
+    if folder.exists():  # an earlier installation was interrupted, or it is of another Debian
         shutil.rmtree(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    host.run("/usr/bin/python3", "-m", "venv", "--system-site-packages", folder)
-    pip = (folder / "bin/python", "-m", "pip", "--isolated", "--quiet", "--disable-pip-version-check")
-    offline = (*pip, "install", "--no-index", "--find-links", bundle / "wheels")
-    lock = "requirements-bridge.lock" if host.path(BRIDGE).exists() else "requirements.lock"
-    host.run(*offline, "--require-hashes", "--requirement", bundle / "deploy" / lock)
-    host.run(*offline, "--no-deps", bundle / f"wheels/stonefall-{release.version}-py3-none-any.whl")
+    copy = _link if bundle == PACKAGE else shutil.copy2
+    shutil.copytree(bundle / "environment", folder, symlinks=True, copy_function=copy)
+
+
+def _link(source: str, target: str) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # /usr and /opt are different file systems
+        shutil.copy2(source, target)
 
 
 def copy_parts(bundle: Path, folder: Path) -> None:
     """Copy what a release has beside its environment."""
     for part in PARTS:
         if (bundle / part).is_dir():
-            shutil.copytree(bundle / part, folder / part)
+            shutil.copytree(bundle / part, folder / part, dirs_exist_ok=True)  # libraries bring a share/, too
         else:
             shutil.copy(bundle / part, folder)
 

@@ -21,6 +21,13 @@ GOES_TO = re.compile(r"# Goes to (/[^\s:;,]+)")
 EXAMPLES = {".network", ".link"}
 """They name ports of another machine; in their place they could readdress one of this machine."""
 CONFIGURATION = "/etc/stonefall/stonefall.toml"
+LINKS = {
+    "/usr/local/bin/stonefall": "bin/stonefall",
+    "/usr/local/share/man/man1/stonefall.1.gz": "share/man/man1/stonefall.1.gz",
+    "/usr/local/share/bash-completion/completions/stonefall": "share/bash-completion/completions/stonefall",
+}
+"""The command, its manual page and its completion, in the current release; the Debian package has its own in /usr."""
+PACKAGED = "/usr/bin/stonefall"
 DEFAULT = ".default"
 
 
@@ -79,6 +86,29 @@ def place(host: Host, release: Release, suffixes: set[str] | None = None) -> lis
             host.step(_title(each, goes_to, found is not None), partial(write_whole, path, wanted))
             changed.append(goes_to)
     return changed
+
+
+def link_command(host: Host) -> bool:
+    """Put the command on the PATH, unless the package has, or something else is there; return whether that changed."""
+    changed = False
+    for link, inside in LINKS.items():
+        path, destination = host.path(link), Path(releases.CURRENT, inside)
+        if host.path(PACKAGED).is_symlink() or path.exists() or path.is_symlink():
+            continue
+        changed |= host.step(f"{link} -> {destination}", partial(_link, path, destination))
+    return changed
+
+
+def _link(path: Path, destination: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.symlink_to(destination)
+
+
+def links(host: Host) -> Iterator[str]:
+    """Yield the links of `LINKS` that lead to the current release."""
+    for link, inside in LINKS.items():
+        if host.path(link).is_symlink() and host.path(link).readlink() == Path(releases.CURRENT, inside):
+            yield link
 
 
 def placed(host: Host, every: list[Release]) -> Iterator[tuple[str, bool]]:

@@ -122,9 +122,10 @@ def activate(host: Host, release: Release) -> bool:
                 done = host.ask(*command)
                 if done.returncode != 0:  # such as sysctl in a container: the daemon works without
                     say("failed", f"{' '.join(command)}: {done.stderr.strip().splitlines()[-1:]}")
-    if (changed or placed) and not host.dry_run and host.runs_systemd:
+    is_changed = placement.link_command(host) or changed or bool(placed)
+    if is_changed and not host.dry_run and host.runs_systemd:
         host.ask("systemctl", "try-restart", service.BRIDGE)  # where it runs: now of this release
-    return changed or bool(placed)
+    return is_changed
 
 
 def _require_configuration(

@@ -56,6 +56,8 @@ def uninstall(host: Host, purge: str | None) -> None:
             say("kept", f"{target}: it was edited here")
         else:
             host.step(f"remove {target}", host.path(target).unlink)
+    for link in placement.links(host):
+        host.step(f"remove {link}", host.path(link).unlink)
     for folder in [*TAKEN, *(KEPT if purge is not None else ())]:
         if host.path(folder).exists():
             host.step(f"remove {folder}", partial(shutil.rmtree, host.path(folder)))

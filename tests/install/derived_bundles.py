@@ -8,13 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+OURS = ("service", "drivers", "pipeline")
 MIGRATION = "CREATE TABLE trial (one INTEGER) STRICT;\n"
 
 
 def derive(bundle: Path, version: str, change: Callable[[Path], None]) -> None:
-    """Make the bundle of a changed source out of a bundle: another wheel and another description."""
+    """Make the bundle of a changed source out of a bundle: other code of ours and another description."""
     derived = bundle.with_name(f"stonefall-{version}")
-    shutil.copytree(bundle, derived)
+    shutil.copytree(bundle, derived, symlinks=True)
     source = bundle.with_name("source")
     shutil.rmtree(source, ignore_errors=True)
     source.mkdir()
@@ -26,9 +27,15 @@ def derive(bundle: Path, version: str, change: Callable[[Path], None]) -> None:
         project.read_text().replace(f'version = "{facts["version"]}"', f'version = "{version}"', 1)
     )
     change(source)
-    next(derived.glob("wheels/stonefall-*.whl")).unlink()
-    pip = [sys.executable, "-m", "pip", "--quiet", "wheel", "--no-deps", "--no-build-isolation"]
-    subprocess.run([*pip, "--wheel-dir", derived / "wheels", source], check=True)
+    (libraries,) = derived.glob("environment/lib/python3.*/site-packages")
+    for path in [*libraries.glob("stonefall-*.dist-info"), *(libraries / name for name in OURS)]:
+        shutil.rmtree(path)
+    pip = [sys.executable, "-m", "pip", "--quiet", "install", "--no-deps", "--no-build-isolation"]
+    subprocess.run([*pip, "--target", libraries, "--upgrade", source], check=True)
+    environment = derived / "environment"
+    for path in [environment / "pyvenv.cfg", *environment.glob("bin/*")]:
+        if not path.is_symlink():
+            path.write_text(path.read_text().replace(f"releases/{facts['version']}", f"releases/{version}"))
     facts |= {"version": version, "commit": version, "schema": len(list(source.glob("service/store/*.sql")))}
     (derived / "bundle.json").write_text(json.dumps(facts, indent=4) + "\n")
     (derived / "SHA256SUMS").unlink()
@@ -57,8 +64,6 @@ def never_ready(source: Path) -> None:
 def measures_wrong(source: Path) -> None:
     path = source / "pipeline/body_measurement.py"
     text = path.read_text()
-    before, after = text.split("    return ParticleMeasurement(")
-    place = "        volume_mm3=volume_mm3,\n"
-    assert after.count(place) == 1
-    after = after.replace(place, "        volume_mm3=1.005 * volume_mm3,\n")
-    path.write_text(f"{before}    return ParticleMeasurement({after}")
+    place = "    evidence = Evidence(\n"
+    assert text.count(place) == 1
+    path.write_text(text.replace(place, f"    volume_mm3 *= 1.005\n{place}"))

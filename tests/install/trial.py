@@ -51,7 +51,7 @@ def timed(title: str) -> Iterator[None]:
 
 def commit_of(folder: Path) -> str | None:
     """Return the commit of the bundle in a folder, None if there is none."""
-    for path in folder.glob("*.tar"):
+    for path in folder.glob("*.tar.gz"):
         facts = output("tar", "-x", "-O", "-f", path, "--wildcards", "*/bundle.json")
         return str(json.loads(facts)["commit"])
     return None
@@ -75,7 +75,7 @@ def prepare(folder: Path) -> Machine:
             subprocess.run([ROOT / "deploy/bundle", tar], check=True)
     shutil.rmtree(machine.root, ignore_errors=True)
     subprocess.run(["cp", "-a", clean, machine.root], check=True)
-    subprocess.run(["tar", "-x", "-C", bundles, "-f", *tar.glob("*.tar")], check=True)
+    subprocess.run(["tar", "-x", "-C", bundles, "-f", *tar.glob("*.tar.gz")], check=True)
     (first,) = bundles.glob("stonefall-*")
     major = first.name.removeprefix("stonefall-").split(".")[0]
     with timed("three more bundles"):

@@ -23,13 +23,16 @@ def test_accounts_are_made_though_their_files_are_there_from_an_interrupted_inst
     assert ran == ["systemd-sysusers", "systemd-tmpfiles"]
 
 
-def test_a_failed_build_leaves_nothing_and_the_others_as_they_are(host: Host, tmp_path: Path) -> None:
-    def execute(command: Sequence[str], _: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
-        NEW.folder(host).mkdir()
-        return subprocess.CompletedProcess(command, 1, "", "No space left on device")
+def test_a_failed_build_leaves_nothing_and_the_others_as_they_are(
+    host: Host, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def copy(source: Path, target: Path, **_: object) -> None:
+        target.mkdir()
+        raise OSError(28, "No space left on device")
 
-    failing = replace(host, execute=execute)
-    with pytest.raises(InstallError, match="No space left on device"):
+    monkeypatch.setattr(building.shutil, "copytree", copy)
+    failing = replace(host, execute=lambda *_: pytest.fail("nothing is run"))
+    with pytest.raises(OSError, match="No space left on device"):
         building.build(failing, tmp_path, NEW)
     assert not NEW.folder(host).exists()
     assert not building.build(failing, tmp_path, OLD)
@@ -38,19 +41,34 @@ def test_a_failed_build_leaves_nothing_and_the_others_as_they_are(host: Host, tm
     assert OLD.folder(host).exists()
 
 
-@pytest.mark.parametrize("is_bridged", [False, True])
-def test_packages_of_the_bridge_are_installed_where_it_is_configured(
-    host: Host, tmp_path: Path, is_bridged: bool
+def test_the_environment_is_copied_and_that_of_the_package_linked(
+    host: Host, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if is_bridged:
-        host.path(building.BRIDGE).parent.mkdir(parents=True)
-        host.path(building.BRIDGE).write_text("")
-    ran: list[str] = []
+    bundle, folder = tmp_path / "bundle", NEW.folder(host)
+    (bundle / "environment/bin").mkdir(parents=True)
+    (bundle / "environment/one.py").write_text("1\n")
+    (bundle / "environment/bin/python").symlink_to("/usr/bin/python3")
+    folder.mkdir()
+    (folder / "left").write_text("by an interrupted installation")
+    building.copy_environment(bundle, folder)
+    assert sorted(path.name for path in folder.iterdir()) == ["bin", "one.py"]
+    assert (folder / "bin/python").readlink() == Path("/usr/bin/python3")
+    assert not (folder / "one.py").samefile(bundle / "environment/one.py")
 
-    def execute(command: Sequence[str], _: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
-        ran.append(" ".join(map(str, command)))
-        return subprocess.CompletedProcess(command, 0, "", "")
+    monkeypatch.setattr(building, "PACKAGE", bundle)
+    building.copy_environment(bundle, folder)
+    assert (folder / "one.py").samefile(bundle / "environment/one.py")
 
-    building.make_environment(replace(host, execute=execute), tmp_path, NEW)
-    locks = [command.rpartition("/")[2] for command in ran if "--require-hashes" in command]
-    assert locks == ["requirements-bridge.lock" if is_bridged else "requirements.lock"]
+    def refuse(*_: object) -> None:
+        raise OSError(18, "Invalid cross-device link")
+
+    monkeypatch.setattr(building.os, "link", refuse)
+    building.copy_environment(bundle, folder)
+    assert (folder / "one.py").read_text() == "1\n"
+
+
+def test_a_release_for_another_debian_is_built_anew(host: Host, tmp_path: Path) -> None:
+    trixie = replace(OLD, debian="13", commit="another")
+    failing = replace(host, execute=lambda *_: pytest.fail("nothing is run without an environment"))
+    with pytest.raises(FileNotFoundError):  # it goes on to the environment of the bundle, which has none here
+        building.build(failing, tmp_path, trixie)

@@ -80,3 +80,28 @@ def test_uninstalling_leaves_results_and_what_was_edited(host: Host, script: Scr
     }
     uninstall.uninstall(scripted, uninstall.WORDS)
     assert not results.exists()
+
+
+def test_the_command_is_on_the_path_unless_the_package_has_put_it_there(host: Host) -> None:
+    assert switch.activate(host, OLD)
+    links = [host.path(link) for link in placement.LINKS]
+    assert [str(link.readlink()) for link in links] == [
+        "/opt/stonefall/current/bin/stonefall",
+        "/opt/stonefall/current/share/man/man1/stonefall.1.gz",
+        "/opt/stonefall/current/share/bash-completion/completions/stonefall",
+    ]
+    assert not placement.link_command(host)
+    links[0].unlink()
+    links[0].write_text("another program\n")
+    assert not placement.link_command(host)
+    assert list(placement.links(host)) == list(placement.LINKS)[1:]
+    for link in links[1:]:
+        link.unlink()
+    host.path(placement.PACKAGED).parent.mkdir(parents=True)
+    host.path(placement.PACKAGED).symlink_to("/opt/stonefall/current/bin/stonefall")
+    assert not placement.link_command(host)  # the package has its own
+
+
+def test_a_dry_run_links_nothing(host: Host) -> None:
+    assert placement.link_command(replace(host, dry_run=True))
+    assert not host.path("/usr/local").exists()
