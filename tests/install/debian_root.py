@@ -12,6 +12,21 @@ from typing import Any
 from support.eventually import eventually
 
 ASK = "import sys, urllib.request; print(urllib.request.urlopen(sys.argv[1]).read().decode())"
+ENVIRONMENT = (
+    "PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
+    "LANG=C.UTF-8",
+    "HOME=/root",
+)
+MOUNTED = """
+set -e
+mount -t proc proc "$1/proc"
+mount -t tmpfs tmpfs "$1/dev/shm"
+[ -z "$2" ] || "$2" link set lo up
+root=$1
+shift 2
+exec chroot "$root" "$@"
+"""
+"""Run in namespaces of its own: mounts, and the loopback of a network without any other device, are gone after it."""
 NSPAWN = ("systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--private-network")
 
 
@@ -95,3 +110,17 @@ class Machine:
 
 def output(*command: object) -> str:
     return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
+
+
+class Chroot(Machine):
+    """A root folder whose commands run in a chroot, without systemd; without network unless `is_online`."""
+
+    def __init__(self, root: Path, *, is_online: bool = False) -> None:
+        super().__init__(root)
+        self.is_online = is_online
+
+    def command(self, *words: str) -> list[str]:
+        loopback = "" if self.is_online else shutil.which("ip") or "ip"
+        namespaces = ["--mount", "--pid", "--fork", "--kill-child", *(() if self.is_online else ("--net",))]
+        chroot = ["sh", "-c", MOUNTED, "-", str(self.root), loopback, "/usr/bin/env", "-i", *ENVIRONMENT]
+        return ["unshare", *namespaces, *chroot, "DEBIAN_FRONTEND=noninteractive", *words]
