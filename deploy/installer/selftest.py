@@ -85,8 +85,12 @@ def read_expectations(selftest: Path) -> list[Expectation]:
 
 
 def main(selftest: Path, measured: Path) -> None:
-    """Write `expected.json`; exit with what is wrong if the figures are not the true ones."""
+    """Write `expected.json`; exit with what is wrong if the figures are not the true ones or the known ones."""
     records = read_lines(measured / RESULTS)
+    if (selftest / EXPECTED).exists():  # of the bundle that the recording is from
+        if found := deviations(read_expectations(selftest), records):
+            sys.exit(f"no bundle: another has measured other figures: {'; '.join(found)}")
+        return
     true = expectations(
         [each for each in read_lines(selftest / TRUTH) if each["kind"] == "particle"], Reference.TRUTH
     )
