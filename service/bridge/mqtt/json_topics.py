@@ -4,7 +4,6 @@ import asyncio
 import json
 import logging
 import time
-from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from itertools import compress
@@ -44,9 +43,7 @@ class JsonTopics:
         self._checks_file = plant.folder / self.name / "alarms.json"
         self._checks = _kept_checks(self._checks_file)
         self._waits_for_subscriber = settings.waits_for_subscriber
-        self._recent: deque[tuple[float, MqttMessage]] = deque(
-            maxlen=MAX_RECENT
-        )  # acknowledged, with the time
+        self._recent: dict[MqttMessage, float] = {}  # acknowledged, with the time, the oldest first
         self._has_forgotten = asyncio.Event()
         will = status_message(prefix, "offline")
         self._link: Link[BrokerConnection] = Link(
@@ -61,19 +58,14 @@ class JsonTopics:
 
     async def deliver(self, results: Sequence[Mapping[str, Any]]) -> None:
         """Return once the broker has acknowledged all of them."""
-        messages = [result_message(self._prefix, result) for result in results]
-        await self._send(messages)
-        now_s = time.monotonic()
-        self._recent += [(now_s, message) for message in messages]
-        while self._recent[0][0] < now_s - RECENT_S:
-            self._recent.popleft()
+        await self._send([result_message(self._prefix, result) for result in results])
 
     async def _repeat(self) -> None:
         """Send the newest results again whenever the broker was started anew: it may have lost what it acknowledged."""
         while True:
             await self._has_forgotten.wait()
             self._has_forgotten.clear()
-            await self._send([message for _, message in self._recent])
+            await self._send(list(self._recent))
 
     async def tell_gap(self, gap: Gap) -> None:
         """Tell that results were removed before they were read."""
@@ -112,6 +104,7 @@ class JsonTopics:
                 future.exception() is None and (future.result() or not self._waits_for_subscriber)
                 for future in sent
             ]
+            self._keep_recent(compress(tried, is_heard))
             messages = list(compress(tried, map(not_, is_heard))) + messages[len(tried) :]
             if all(is_heard) or any(future.exception() is not None for future in sent):
                 n_unheard = 0
@@ -120,6 +113,16 @@ class JsonTopics:
                 log.warning("nothing subscribes to %s: it waits until something does", messages[0].topic)
             await asyncio.sleep(pause_s(n_unheard))
             n_unheard += 1
+
+    def _keep_recent(self, acknowledged: Iterable[MqttMessage]) -> None:
+        now_s = time.monotonic()
+        for message in acknowledged:
+            self._recent.pop(message, None)
+            self._recent[message] = now_s
+        for message, time_s in list(self._recent.items()):
+            if time_s >= now_s - RECENT_S and len(self._recent) <= MAX_RECENT:
+                break
+            del self._recent[message]
 
     def _remember(self, checks: Iterable[str]) -> None:
         """Keep the checks whose alarms are retained at the broker: one may end while no bridge runs."""
