@@ -1,7 +1,7 @@
 """A plant without a daemon, and clients of OPC UA with certificates, for tests of the OPC UA server."""
 
 import asyncio
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -51,7 +51,7 @@ class FakePlant:
         self.state = PlantState()
         self.orders: list[tuple[str, object, str | None]] = []
         self.refusal: OrderRefusedError | None = None
-        self.documents: Mapping[str, dict[str, Any]] = {}
+        self.history: list[dict[str, Any]] = []
         self._changed = asyncio.Event()
         self._steps: asyncio.Queue[Step] = asyncio.Queue()
 
@@ -68,6 +68,7 @@ class FakePlant:
 
     def fall(self, *results: dict[str, Any]) -> None:
         """Have results come in one step of the feed."""
+        self.history += results
         self._steps.put_nowait(Step(Position("h-1", results[-1]["seq"]), results))
 
     async def results(self, outlet: str) -> AsyncIterator[Step]:
@@ -83,8 +84,15 @@ class FakePlant:
     async def acknowledge(self, alarm: int, token: str | None = None) -> dict[str, Any]:
         return self._ordered(f"acknowledge {alarm}", {}, token)
 
-    async def get(self, path: str, **query: object) -> dict[str, Any]:
-        return self.documents[f"{path}?{'&'.join(f'{name}={value}' for name, value in query.items())}"]
+    async def get(self, path: str, **query: Any) -> dict[str, Any]:
+        if path == "/results":
+            items = [each for each in self.history if each["seq"] > query["after"]][: query["limit"]]
+            last_seq = self.history[-1]["seq"] if self.history else 0
+            return {"instance_id": "h-1", "first_seq": 1, "last_seq": last_seq, "items": items}
+        for each in self.history:
+            if path == f"/particles/{each['id']}":
+                return {**each, "optics": {}}
+        raise OrderRefusedError("404 unknown-particle: there is none", "unknown-particle")
 
     def _ordered(self, what: str, more: object, token: str | None) -> dict[str, Any]:
         self.orders.append((what, more, token))

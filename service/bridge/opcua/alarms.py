@@ -2,7 +2,7 @@
 
 import uuid
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from asyncua import ua
 from asyncua.common.event_objects import AlarmCondition
@@ -13,6 +13,7 @@ from service.bridge.plant_state import PlantAlarm, PlantState
 
 SEVERITIES = {"urgent": 900, "high": 700, "medium": 500, "low": 300}
 """Priority of the daemon -> severity of OPC UA, 1 to 1000."""
+MAX_EVENT_IDS = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +23,12 @@ class Condition:
     event: AlarmCondition
     alarm: PlantAlarm
     is_known: bool
+    event_ids: tuple[bytes, ...]
+    """Of the newest events of this alarm, by each of which it can be acknowledged"""
+
+    def tells(self, alarm: PlantAlarm) -> bool:
+        """True when its event tells all of an alarm but for its text, which may change with every look."""
+        return self.is_known and replace(alarm, detail=self.alarm.detail) == self.alarm
 
 
 def condition_id(alarm: PlantAlarm) -> ua.NodeId:
@@ -46,8 +53,7 @@ class PlantConditions:
                 del self._by_check[check]
                 yield condition_event(known.alarm, is_known=True, is_ended=True)
         for check, alarm in now.items():
-            before = self._by_check.get(check)
-            if before is None or not before.is_known or before.alarm != alarm:
+            if (before := self._by_check.get(check)) is None or not before.tells(alarm):
                 yield self._keep(alarm, is_known=True)
 
     def retained(self) -> list[AlarmCondition]:
@@ -55,15 +61,18 @@ class PlantConditions:
         return [each.event for each in self._by_check.values()]
 
     def alarm_of(self, condition: ua.NodeId, event_id: bytes) -> PlantAlarm | None:
-        """Return the alarm of a condition, if this is the id of its newest event."""
+        """Return the alarm of a condition, if this is the id of one of its newest events."""
         for each in self._by_check.values():
-            if each.event.EventId == event_id and condition_id(each.alarm) == condition:
+            if event_id in each.event_ids and condition_id(each.alarm) == condition:
                 return each.alarm
         return None
 
     def _keep(self, alarm: PlantAlarm, *, is_known: bool) -> AlarmCondition:
         event = condition_event(alarm, is_known=is_known, is_ended=False)
-        self._by_check[alarm.check] = Condition(event, alarm, is_known)
+        before = self._by_check.get(alarm.check)
+        earlier = before.event_ids if before is not None and before.alarm.id == alarm.id else ()
+        ids = (*earlier, event.EventId)[-MAX_EVENT_IDS:]
+        self._by_check[alarm.check] = Condition(event, alarm, is_known, ids)
         return event
 
 

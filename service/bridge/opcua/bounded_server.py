@@ -56,7 +56,7 @@ INTERVAL_MS = (50.0, 60_000.0)
 """Shortest and longest publishing interval."""
 ACTIVATION_S = 10.0
 """Longest time from a connection to a session that may read."""
-SESSION_S = (5.0, 300.0)
+SESSION_S = (5.0, 3600.0)
 """Shortest and longest time that a silent session is kept."""
 BUFFER_BYTES = 65_535
 
@@ -296,6 +296,9 @@ class BoundedProcessor(UaProcessor):
             mode = self._connection.security_policy.Mode
             self.session.is_secured = mode != ua.MessageSecurityMode.None_
         return await super()._process_message(typeid, requesthdr, seqhdr, body)
+
+    def _should_close_session_on_transport_loss(self) -> bool:
+        return True  # no other connection could go on with it
 
     def send_response(
         self, requesthandle: int, seqhdr: Any, response: Any, msgtype: Any = ua.MessageType.SecureMessage

@@ -24,7 +24,8 @@ HEALTH = {
     Ne107.MAINTENANCE_REQUIRED: "MAINTENANCE_REQUIRED",
 }
 """Words of NAMUR NE 107 in the order and spelling of DeviceHealthEnumeration (OPC 10000-100)."""
-VERDICTS = ("conforms", "does_not_conform", "undecided", "insufficient", "not_measured")
+VERDICTS = ("not_measured", "insufficient", "undecided", "conforms", "does_not_conform")
+"""Words of a verdict; the first is the safe one, for who takes what has no value for 0."""
 
 
 class VisionState(StrEnum):

@@ -4,10 +4,13 @@ import asyncio
 import json
 import logging
 import math
+import re
+import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import pytest_asyncio
@@ -39,16 +42,21 @@ from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.specification import Verdict
 from service.base.status import Ne107
 from service.bridge.opcua import bounded_server
+from service.bridge.opcua import outlet as outlet_module
 from service.bridge.opcua.access import Access
 from service.bridge.opcua.certificates import now_utc, own_certificate, thumbprint
+from service.bridge.opcua.nodes import SHOWN
 from service.bridge.opcua.outlet import OpcUaOutlet
 from service.bridge.opcua.passwords import hash_password
+from service.bridge.opcua.results import POSITION, latest
 from service.bridge.opcua.settings import OpcUaSettings, OpcUaUser
+from service.bridge.opcua.space import UNITS
 from service.bridge.plant import OrderRefusedError
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 URI = "urn:tests:server"
+GUIDE = Path(outlet_module.__file__).with_name("README.md")
 
 
 @dataclass(frozen=True)
@@ -147,7 +155,7 @@ async def test_state_and_lot_are_seen_as_they_change_with_units_and_times(served
         assert few.Value.Value == 8.0
         unmeasured = await shown(client, "Figures.SI")
         assert (unmeasured.StatusCode.value, unmeasured.Value.Value) == (ua.StatusCodes.BadNoData, None)
-        for path, number in (("DeviceHealth", 3), ("Lot.Verdict", 0)):
+        for path, number in (("DeviceHealth", 3), ("Lot.Verdict", 3)):
             words = await (await node_of(client, f"{path}.EnumStrings")).read_value()
             assert (await shown(client, path)).Value.Value == number
             assert words[number].Text == {"DeviceHealth": "OFF_SPEC", "Lot.Verdict": "conforms"}[path]
@@ -187,11 +195,7 @@ async def test_each_result_is_one_event_and_the_cursor_follows(served: Served) -
 
 
 async def test_missed_results_are_got_by_their_sequence_number(served: Served) -> None:
-    page = {"instance_id": "h-1", "first_seq": 1, "last_seq": 9, "items": [result(8), result(9)]}
-    served.plant.documents = {
-        "/results?after=7&limit=100&fields=lean": page,
-        "/particles/s-00000008?": {**result(8), "optics": {}},
-    }
+    served.plant.history = [result(seq) for seq in range(1, 251)]
     async with Client(served.url) as client:
         management = await node_of(client, "ResultManagement")
         method = await node_of(client, "ResultManagement.GetResults")
@@ -199,13 +203,15 @@ async def test_missed_results_are_got_by_their_sequence_number(served: Served) -
             method, ua.Variant(7, ua.VariantType.UInt64), ua.Variant(5000, ua.VariantType.UInt32)
         )
         history, first, last, items, error, problem = answer
-        assert (history, first, last, error, problem) == ("h-1", 1, 9, 0, "")
-        assert [json.loads(item) for item in items] == [result(8), result(9)]
+        assert (history, first, last, error, problem) == ("h-1", 1, 250, 0, "")
+        assert [json.loads(item) for item in items] == [result(seq) for seq in range(8, 108)]
         by_id = await node_of(client, "ResultManagement.GetResultById")
         handle, found, error, problem = await management.call_method(
             by_id, "s-00000008", ua.Variant(0, ua.VariantType.Int32)
         )
         assert (handle, json.loads(found), error, problem) == (0, result(8), 0, "")
+        answer = await management.call_method(by_id, "none", ua.Variant(0, ua.VariantType.Int32))
+        assert answer == [0, "", -1, "404 unknown-particle: there is none"]
 
 
 async def test_an_alarm_is_a_condition_that_a_keyed_user_acknowledges(served: Served) -> None:
@@ -406,6 +412,56 @@ async def test_the_bytes_of_strangers_close_their_own_connection_only(served: Se
         assert (await shown(client, "DaemonAnswers")).StatusCode.is_good()
 
 
+async def test_the_clients_of_the_guide_see_each_stone_once(served: Served, tmp_path: Path) -> None:
+    (snippet,) = re.findall(r"```python\n(.*?)```", GUIDE.read_text(), re.DOTALL)
+    program = tmp_path / "follow.py"
+    program.write_text(snippet)
+    served.plant.history = [result(seq) for seq in range(1, 211)]
+    arguments = (sys.executable, program, served.url, "7")
+    process = await asyncio.create_subprocess_exec(*arguments, stdout=asyncio.subprocess.PIPE)
+    assert process.stdout is not None
+    try:
+        for seq in range(8, 251):
+            if seq in (211, 240):
+                served.plant.fall(*(result(each) for each in range(seq, 240 if seq == 211 else 251)))
+            line = await asyncio.wait_for(process.stdout.readline(), PATIENCE_S)
+            assert line.decode() == f"{seq} measured 11.4\n"
+    finally:
+        process.kill()
+        await process.wait()
+
+
+async def test_the_table_of_the_guide_is_that_of_the_server(served: Served) -> None:
+    rows = []
+    for each in (*SHOWN, *POSITION):
+        kind = ua.ObjectIdNames[each.data_type] + ("[]" if each.is_list else "")
+        words = ", ".join(f"{number} {word}" for number, word in enumerate(each.words))
+        rows.append(
+            f"| `{each.path}` | {kind} | {'' if each.unit is None else UNITS[each.unit][1]}{words} | {each.meaning} |"
+        )
+    rows.append(
+        "| `ResultManagement.LatestResult.NAME` | | | Each field of the newest result, by its name in REST |"
+    )
+    async with Client(served.url) as client:
+        for method in (
+            "Lot.OpenLot",
+            "Lot.CloseLot",
+            "ResultManagement.GetResultById",
+            "ResultManagement.GetResults",
+        ):
+            node = await node_of(client, method)
+            given, answered = [
+                ", ".join(each.Name for each in await (await node.get_child(f"0:{name}")).read_value())
+                for name in ("InputArguments", "OutputArguments")
+            ]
+            meaning = (await node.read_description()).Text
+            rows.append(f"| `{method}({given})` | method | | {meaning}. It answers {answered} |")
+        browsed = [path async for path in _variables(await node_of(client, ""))]
+    assert sorted(browsed) == sorted(each.path for each in (*SHOWN, *POSITION, *latest()))
+    table = GUIDE.read_text().split("| node | type |")[1].split("\n\n")[0].splitlines()[2:]
+    assert table == rows, "\n".join(rows)
+
+
 async def test_a_session_is_not_taken_over_by_its_number(served: Served) -> None:
     async with served.operator() as operator:
         token = operator.uaclient.protocol.authentication_token
@@ -417,6 +473,20 @@ async def test_a_session_is_not_taken_over_by_its_number(served: Served) -> None
         with pytest.raises((UaError, ConnectionError)):
             await (await node_of(thief, "Lot")).call_method(await node_of(thief, "Lot.CloseLot"), "L-2")
         await thief.disconnect_sessionless()
+
+
+async def _variables(node: Any) -> AsyncIterator[str]:
+    """Yield the paths of all variables below a node that are of the plant, not of OPC UA."""
+    for child in await node.get_children():
+        path = str(child.nodeid.Identifier).removeprefix("VisionSystem.")
+        name, kind = await child.read_browse_name(), await child.read_node_class()
+        if kind is ua.NodeClass.Variable and (
+            name.NamespaceIndex or name.Name in ("CurrentState", "Id", "Number")
+        ):
+            yield path
+        if kind in (ua.NodeClass.Object, ua.NodeClass.Variable):
+            async for below in _variables(child):
+                yield below
 
 
 async def _is(client: Client, path: str, value: object) -> bool:
