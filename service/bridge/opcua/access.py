@@ -48,9 +48,11 @@ class ClientRefusedError(ServiceError):
 
 @dataclass
 class PlantUser(User):
-    """A user; with a key of the daemon orders may be given, as far as the daemon allows it."""
+    """A user, and the key of the daemon that orders are given with; the daemon decides which."""
 
     key_file: Path | None = None
+    may_order: bool = False
+    """True with a key of its own, or with that of the bridge."""
 
 
 class Access:
@@ -105,7 +107,10 @@ class Access:
             user = next((who for der, who in self._certificates if der == certificate and is_valid), None)
         else:
             return PlantUser(role=UserRole.Anonymous)
-        return None if user is None else PlantUser(UserRole.User, user.name, user.key_file)
+        if user is None:
+            return None
+        may_order = user.orders or user.key_file is not None
+        return PlantUser(UserRole.User, user.name, user.key_file, may_order)
 
     def check_pace(self, address: str) -> None:
         """Raise `ClientRefusedError` for an address that was refused too often in the last minute."""

@@ -23,7 +23,7 @@ from asyncua.server.internal_server import InternalServer
 from asyncua.server.internal_session import InternalSession
 from asyncua.server.uaprocessor import UaProcessor
 from asyncua.ua.ua_binary import uatcp_to_binary
-from asyncua.ua.uaerrors import UaError, UaStatusCodeError
+from asyncua.ua.uaerrors import UaStatusCodeError
 
 from service.base.addresses import is_loopback
 from service.bridge.opcua.access import Access, ClientRefusedError
@@ -32,15 +32,15 @@ from service.bridge.opcua.methods import Caller, MethodTable
 
 log = logging.getLogger(__name__)
 
-MAX_CONNECTIONS = 64
+MAX_CONNECTIONS = 32
 MAX_SESSIONS_OF_CONNECTION = 8
 """Sessions that a connection may make, one after the other."""
 MAX_SUBSCRIPTIONS = 200
 MAX_SUBSCRIPTIONS_OF_SESSION = 10
-MAX_ITEMS_OF_SESSION = 2000
-MAX_QUEUE = 1000
+MAX_ITEMS_OF_SESSION, MAX_EVENT_ITEMS_OF_SESSION = 2000, 4
+MAX_QUEUE = 500
 """Values or events that wait for a slow client; then the oldest is dropped."""
-MAX_UNACKNOWLEDGED = 200
+MAX_UNACKNOWLEDGED = 50
 """Messages that are kept to be sent again."""
 MAX_NODES = 1000
 """Nodes of one request."""
@@ -61,6 +61,9 @@ SESSION_S = (5.0, 3600.0)
 BUFFER_BYTES = 65_535
 
 NOBODY = User(role=UserRole.Anonymous)
+EVENTS = ua.AttributeIds.EventNotifier
+WEAK = ("rsa-1_5", "rsa-sha1")
+"""Ends of the names of algorithms that Basic256Sha256 does not have, and asyncua takes."""
 NO_SECURITY = "http://opcfoundation.org/UA/SecurityPolicy#None"
 
 SERVICES = frozenset(
@@ -87,13 +90,13 @@ class BoundedSession(InternalSession):
     """A session whose user is checked, and that reaches its own subscriptions only."""
 
     iserver: "BoundedInternalServer"
-    is_secured = False
-    """True when its channel is signed, by the key of a trusted certificate."""
+    mode = ua.MessageSecurityMode.None_
+    """Of its channel; one that is signed is so by the key of a trusted certificate"""
 
     @property
     def address(self) -> str:
         """Address of the client."""
-        return str(self.name[0]) if isinstance(self.name, tuple) else str(self.name)
+        return _host(self.name)
 
     def activate_session(
         self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
@@ -102,16 +105,20 @@ class BoundedSession(InternalSession):
         access = self.iserver.access
         access.check_pace(self.address)
         try:
-            is_anonymous = not isinstance(
-                params.UserIdentityToken, (ua.UserNameIdentityToken, ua.X509IdentityToken)
-            )
+            token = params.UserIdentityToken
+            is_anonymous = not isinstance(token, (ua.UserNameIdentityToken, ua.X509IdentityToken))
             if is_anonymous and not is_loopback(self.address):
                 raise ClientRefusedError(
                     ua.StatusCodes.BadIdentityTokenRejected, "is anonymous, and not of this machine"
                 )
-            if not is_anonymous and not self.is_secured:
+            if not is_anonymous and self.mode == ua.MessageSecurityMode.None_:
                 raise ClientRefusedError(
                     ua.StatusCodes.BadSecurityModeRejected, "signs in over a channel that is not secured"
+                )
+            is_open = isinstance(token, ua.UserNameIdentityToken) and not token.EncryptionAlgorithm
+            if is_open and self.mode == ua.MessageSecurityMode.Sign:
+                raise ClientRefusedError(
+                    ua.StatusCodes.BadIdentityTokenInvalid, "sends its password in plain text"
                 )
             return super().activate_session(params, None)  # of a certificate its own, not that of the channel
         except (ServiceError, UaStatusCodeError) as err:
@@ -168,8 +175,14 @@ class BoundedSession(InternalSession):
     async def create_monitored_items(self, params: ua.CreateMonitoredItemsParameters) -> Any:
         """Watch a bounded number of nodes, with filters that cannot fail later."""
         self._own(params.SubscriptionId)
-        n_items = sum(len(each.monitored_item_srv._monitored_items) for each in self._subscriptions())
-        _bound(params.ItemsToCreate, MAX_ITEMS_OF_SESSION - n_items)
+        watched = [
+            item.read_value_id.AttributeId
+            for each in self._subscriptions()
+            for item in each.monitored_item_srv._monitored_items.values()
+        ]
+        watched += [item.ItemToMonitor.AttributeId for item in params.ItemsToCreate]
+        _bound(watched, MAX_ITEMS_OF_SESSION)
+        _bound([each for each in watched if each == EVENTS], MAX_EVENT_ITEMS_OF_SESSION)
         for item in params.ItemsToCreate:
             check_filter(item.ItemToMonitor.AttributeId, item.RequestedParameters.Filter)
         return await super().create_monitored_items(params)
@@ -263,6 +276,20 @@ class BoundedInternalServer(InternalServer):
             self, self.aspace, self.subscription_service, name, user=user, external=external
         )
 
+    def decrypt_user_token(self, isession: Any, token: ua.UserNameIdentityToken) -> Any:
+        """Decrypt a password, but for algorithms that are not of the policy."""
+        if (token.EncryptionAlgorithm or "").endswith(WEAK):
+            raise ServiceError(ua.StatusCodes.BadIdentityTokenInvalid)
+        return super().decrypt_user_token(isession, token)
+
+    def verify_x509_token(
+        self, isession: Any, token: ua.X509IdentityToken, signature: ua.SignatureData
+    ) -> Any:
+        """Verify the signature of a user, but for algorithms that are not of the policy."""
+        if (signature.Algorithm or "").endswith(WEAK):
+            raise ServiceError(ua.StatusCodes.BadUserSignatureInvalid)
+        return super().verify_x509_token(isession, token, signature)
+
     def register_external_session(self, session: InternalSession) -> None:
         """Keep no session for another connection: its number can be guessed."""
 
@@ -283,7 +310,7 @@ class BoundedProcessor(UaProcessor):
             try:
                 self.iserver.access.check_client(policy.peer_certificate)
             except ClientRefusedError as err:
-                self.iserver.access.tell(str(self.name[0]), err)
+                self.iserver.access.tell(_host(self.name), err)
                 raise
         super().open_secure_channel(algohdr, seqhdr, body)
 
@@ -293,8 +320,7 @@ class BoundedProcessor(UaProcessor):
         if not self._connection.is_open():
             raise ServiceError(ua.StatusCodes.BadSecureChannelIdInvalid)
         if isinstance(self.session, BoundedSession):
-            mode = self._connection.security_policy.Mode
-            self.session.is_secured = mode != ua.MessageSecurityMode.None_
+            self.session.mode = self._connection.security_policy.Mode
         return await super()._process_message(typeid, requesthdr, seqhdr, body)
 
     def _should_close_session_on_transport_loss(self) -> bool:
@@ -306,7 +332,7 @@ class BoundedProcessor(UaProcessor):
         """Send an answer, unless the client reads none."""
         super().send_response(requesthandle, seqhdr, response, msgtype)
         if self._transport.get_write_buffer_size() > MAX_UNREAD_BYTES:
-            self.iserver.access.tell(str(self.name[0]), "reads no answers: its connection is closed")
+            self.iserver.access.tell(_host(self.name), "reads no answers: its connection is closed")
             self._transport.abort()
 
 
@@ -339,7 +365,7 @@ class BoundedProtocol(OPCUAProtocol):
         """Take bytes up to the size of the largest chunk, beyond what is processed."""
         super().data_received(data)
         if len(self._buffer) > BUFFER_BYTES and self.transport is not None:
-            self.iserver.access.tell(str(self.peer_name[0]), "sends a chunk that is too large")
+            self.iserver.access.tell(_host(self.peer_name), "sends a chunk that is too large")
             self._buffer = b""
             self.transport.abort()
 
@@ -350,10 +376,7 @@ class BoundedProtocol(OPCUAProtocol):
         except Exception as err:  # noqa: BLE001 - whatever a stranger's bytes do to the library
             code = getattr(err, "code", ua.StatusCodes.BadTcpInternalError)
             if not isinstance(err, ClientRefusedError):
-                known = isinstance(err, (UaError, ValueError))
-                self.iserver.access.tell(
-                    str(self.peer_name[0]), f"sends what is not understood: {err!r}" if known else err
-                )
+                self.iserver.access.tell(_host(self.peer_name), f"sends what is not understood: {err!r}")
             if self.transport is not None and not self.transport.is_closing():
                 error = ua.ErrorMessage(ua.StatusCode(code), "")
                 self.transport.write(uatcp_to_binary(ua.MessageType.Error, error))
@@ -430,6 +453,10 @@ class BoundedServer(Server):
                     await service.delete_subscriptions([each])
 
 
+def _host(peer: object) -> str:
+    return str(peer[0]) if isinstance(peer, tuple) else "?"  # a socket that is closed has none
+
+
 def _bound(items: list[Any], most: int) -> None:
     if len(items) > most:
         raise ServiceError(ua.StatusCodes.BadTooManyOperations)
@@ -437,7 +464,7 @@ def _bound(items: list[Any], most: int) -> None:
 
 def check_filter(attribute: int, wanted: object) -> None:
     """Raise `ServiceError` for a filter that would fail, or take for ever, when there is something to be sent."""
-    if attribute != ua.AttributeIds.EventNotifier:
+    if attribute != EVENTS:
         if not wanted:  # also a structure of no type, which is how none is sent
             return
         if isinstance(wanted, ua.DataChangeFilter) and wanted.DeadbandType == ua.DeadbandType.None_:

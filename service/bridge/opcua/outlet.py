@@ -116,7 +116,8 @@ class OpcUaOutlet:
     async def send(self) -> None:
         """Send each result as an event, until cancelled."""
         async for step in self._plant.results("opcua"):
-            for result in step.items:
+            is_heard = bool(self.server.iserver.subscription_service.subscriptions)
+            for result in step.items if is_heard else ():
                 await self.server.emit(result_event(result, str(step.position.instance_id)))
             if step.items:
                 await self._show_latest(step.items[-1])

@@ -40,7 +40,7 @@ STATUS_OF = {
 }
 """Status of a refused acknowledgement, by kind of problem; empty: the daemon does not answer."""
 
-Order = Callable[[str], Awaitable[object]]
+Order = Callable[[str | None], Awaitable[object]]
 
 
 def plant_methods(plant: Plant, conditions: PlantConditions, server: BoundedServer) -> Iterator[ServedMethod]:
@@ -50,11 +50,12 @@ def plant_methods(plant: Plant, conditions: PlantConditions, server: BoundedServ
         """Give an order with the key of the user; return why it was refused."""
         user = caller.user
         who = f"{user.name or 'anonymous'} at {caller.address}"
-        if not isinstance(user, PlantUser) or user.key_file is None:
+        if not isinstance(user, PlantUser) or not user.may_order:
             log.warning("refused: %s: %s: has no key for orders", who, what)
             return ua.StatusCode(ua.StatusCodes.BadUserAccessDenied)
+        file = user.key_file
         try:
-            await order(read_bounded(user.key_file, MAX_KEY_BYTES).decode("ascii").strip())
+            await order(None if file is None else read_bounded(file, MAX_KEY_BYTES).decode("ascii").strip())
         except (OSError, ValueError):
             refusal = OrderRefusedError("the key file of this user cannot be read", "unauthorized")
         except OrderRefusedError as err:
@@ -79,7 +80,7 @@ def plant_methods(plant: Plant, conditions: PlantConditions, server: BoundedServ
     ) -> Sequence[object] | ua.StatusCode:
         given = {name: text for name, text in zip(("closes", "order"), more, strict=True) if text}
 
-        def order(token: str) -> Awaitable[object]:
+        def order(token: str | None) -> Awaitable[object]:
             return plant.open_lot(lot or "", product or "", token, **given)
 
         return await answered(caller, f"open lot {lot}", order)

@@ -15,7 +15,8 @@ class OpcUaUser:
     name: str
     password: str | None = None  # what `stonefall bridge --hash-password` prints
     certificate: ConfiguredPath | None = None  # of the user, DER or PEM
-    key_file: ConfiguredPath | None = None  # the daemon's key that orders are given with; none: only reads
+    key_file: ConfiguredPath | None = None  # the daemon's key that orders are given with
+    orders: bool = False  # without a key_file: may give orders with the key of the bridge
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.name) <= 64:

@@ -13,6 +13,7 @@ from typing import Any
 
 import tomli_w
 
+from service.bridge.opcua.passwords import hash_password
 from service.bridge.settings import OUTLETS
 from service.commands.rehearsal.rehearsed_daemon import HOST, SERVE, RehearsalError, free_port
 
@@ -20,6 +21,8 @@ START_S, STOP_S, POLL_S = 60.0, 20.0, 0.1
 BROKER = "mosquitto"
 PACKAGES = {"opcua": "asyncua", "mqtt": "paho", "modbus": None}
 """Outlets that a rehearsal can have, and the package that each needs; lines of a chip are not among them."""
+USER = "rehearsal"
+"""Who may give orders over OPC UA; the password is the name."""
 SCHEMES = {"opcua": "opc.tcp", "mqtt": "mqtt", "modbus": "modbus"}
 
 
@@ -42,6 +45,8 @@ def rehearsed_bridge(folder: Path, url: str) -> Iterator[Mapping[str, str]]:
     """
     ports = {name: free_port() for name in rehearsable()}
     tables: dict[str, Any] = {name: {"port": port} for name, port in ports.items()}
+    if "opcua" in ports:
+        tables["opcua"]["users"] = [{"name": USER, "password": hash_password(USER), "orders": True}]
     with ExitStack() as running:
         if "mqtt" in ports:
             tables["mqtt"] |= {"host": HOST, "tls": False, "prefix": "stonefall/rehearsal", "sparkplug": {}}

@@ -7,7 +7,7 @@ import math
 import re
 import sys
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 import pytest_asyncio
 from asyncua import Client, ua
+from asyncua.common.subscription import Subscription
 from asyncua.ua.uaerrors import (
     BadEventIdUnknown,
     BadIdentityTokenRejected,
@@ -22,6 +23,7 @@ from asyncua.ua.uaerrors import (
     BadNotWritable,
     BadSessionIdInvalid,
     BadSubscriptionIdInvalid,
+    BadTooManySessions,
     BadUserAccessDenied,
     UaError,
 )  # fmt: skip
@@ -50,7 +52,7 @@ from service.bridge.opcua.outlet import OpcUaOutlet
 from service.bridge.opcua.passwords import hash_password
 from service.bridge.opcua.results import POSITION, latest
 from service.bridge.opcua.settings import OpcUaSettings, OpcUaUser
-from service.bridge.opcua.space import UNITS
+from service.bridge.opcua.space import INDEX, UNITS
 from service.bridge.plant import OrderRefusedError
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -88,6 +90,7 @@ async def served(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Serv
     users = (
         OpcUaUser(name="operator", password=hash_password("right"), key_file=key_file),
         OpcUaUser(name="reader", password=hash_password("right")),
+        OpcUaUser(name="deputy", password=hash_password("right"), orders=True),
         OpcUaUser(name="line", certificate=client.certificate, key_file=key_file),
     )
     outlet = OpcUaOutlet(plant, Access(folder / "opcua", users))  # type: ignore[arg-type]  # stands for one
@@ -267,6 +270,11 @@ async def test_lots_are_opened_with_the_key_of_the_user_or_refused_with_the_daem
         for wrong in (["L"], ["L", "p", "", "", ""], ["L", "p", "", 5]):
             with pytest.raises(UaError):
                 await lot.call_method(method, *wrong)
+    async with served.operator("deputy") as client:
+        closed = await (await node_of(client, "Lot")).call_method(
+            await node_of(client, "Lot.CloseLot"), "L-3"
+        )
+        assert (closed, served.plant.orders[-1]) == ([0, ""], ("close L-3", {}, None))
     async with served.operator("reader") as client:
         with pytest.raises(BadUserAccessDenied):
             await (await node_of(client, "Lot")).call_method(await node_of(client, "Lot.CloseLot"), "L-2")
@@ -396,6 +404,73 @@ async def test_a_filter_that_would_fail_later_is_refused(served: Served) -> None
                 await subscription.subscribe_events(evfilter=wrong)
         with pytest.raises(UaError):
             await subscription.deadband_monitor(await node_of(client, "Trouble"), 1.0)
+
+
+async def test_a_slow_client_has_a_bounded_queue_and_gets_the_newest(served: Served) -> None:
+    heard = Heard()
+    async with Client(served.url) as client:
+        params = ua.CreateSubscriptionParameters(
+            RequestedPublishingInterval=60_000, RequestedLifetimeCount=100, RequestedMaxKeepAliveCount=10
+        )
+        subscription = Subscription(client.uaclient, params, heard)
+        await subscription.init()
+        kind = client.get_node(ua.NodeId("ResultReadyEventType", INDEX))
+        await subscription.subscribe_events(evtypes=kind)
+        for _ in range(bounded_server.MAX_EVENT_ITEMS_OF_SESSION - 1):
+            await subscription.subscribe_events(evtypes=kind)
+        with pytest.raises(UaError):
+            await subscription.subscribe_events(evtypes=kind)
+        for seq in range(1, bounded_server.MAX_QUEUE + 301):
+            served.plant.fall(result(seq))
+        await soon(lambda: _is(client, "ResultManagement.Cursor", bounded_server.MAX_QUEUE + 300))
+        service = served.outlet.server.iserver.subscription_service
+        queued = service.subscriptions[subscription.subscription_id]._triggered_events
+        assert {len(events) for events in queued.values()} <= {bounded_server.MAX_QUEUE}
+        oldest = next(iter(queued.values()))[0].EventFields
+        assert 301 in [field.Value for field in oldest]
+
+
+async def test_a_client_that_reads_no_answers_is_disconnected(
+    served: Served, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(bounded_server, "MAX_UNREAD_BYTES", 200_000)
+    with caplog.at_level(logging.WARNING):
+        client = Client(served.url, timeout=PATIENCE_S)
+        await client.connect()
+        client.uaclient.protocol.transport.pause_reading()
+        nodes = [client.get_node(ua.ObjectIds.Server_ServerStatus)] * 1000
+        asking: set[asyncio.Task[object]] = set()
+        while not any("reads no answers" in line for line in caplog.messages):
+            asking.add(asyncio.create_task(client.read_values(nodes)))
+            await asyncio.sleep(0.01)
+        for task in asking:
+            task.cancel()
+        await asyncio.gather(*asking, return_exceptions=True)
+        with suppress(Exception):
+            await client.disconnect()
+    async with Client(served.url) as other:
+        assert (await shown(other, "DaemonAnswers")).StatusCode.is_good()
+
+
+async def test_more_connections_than_are_allowed_cost_those_that_may_not_read(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(served.outlet.server.iserver, "max_connections", 3)
+    idle = [await asyncio.open_connection("127.0.0.1", served.outlet.port) for _ in range(5)]
+    async with Client(served.url) as client:
+        assert (await shown(client, "DaemonAnswers")).StatusCode.is_good()
+        assert await asyncio.wait_for(idle[0][0].read(), PATIENCE_S) == b""
+    for _, writer in idle:
+        writer.close()
+
+
+async def test_a_connection_makes_few_sessions(served: Served) -> None:
+    client = Client(served.url)
+    await client.connect_sessionless()
+    with pytest.raises(BadTooManySessions):
+        for _ in range(bounded_server.MAX_SESSIONS_OF_CONNECTION + 1):
+            await client.create_session()
+    await client.disconnect_sessionless()
 
 
 async def test_the_bytes_of_strangers_close_their_own_connection_only(served: Served) -> None:
