@@ -1,9 +1,8 @@
 """Silhouettes of two stones that touch or cover each other: they are narrow where one ends and the other begins.
 
-Crushed stones have no such waist: of all forms, dented, rough and two-lobed ones included, none of 16 views of some 20
-stones each had a neck less deep than 0.9 of the body beyond it; of 40 touching pairs, of 4 to 15 beside 10 to 25 mm,
-each had one below 0.75 in some view. (Horseshoes have some as well.) A grain of a fifth of the other stone's size may
-be missed: it changes the volume by less than its sigma.
+Crushed stones have no such waist, dented and two-lobed ones included; horseshoes may have one. Where two stones touch,
+some view of sixteen shows it, unless one is a grain of a fifth of the other's size: that changes the volume by less than
+its sigma.
 """
 
 from collections.abc import Iterable
