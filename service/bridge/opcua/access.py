@@ -27,11 +27,13 @@ from service.bridge.opcua.settings import OpcUaUser
 
 log = logging.getLogger(__name__)
 
+Attempt = tuple[str, str | None]
+"""Address and name of a user."""
 MAX_WRONG = 10
-"""Refused attempts of an address in a minute, after which all of its attempts are refused."""
+"""Attempts with a wrong password in a minute, after which all of this user from this address are refused."""
 MAX_LINES = 30
 """Refusals that are logged in a minute."""
-MAX_ADDRESSES = 1000
+MAX_ATTEMPTS = 1000
 PER_S = 60.0
 
 
@@ -68,7 +70,7 @@ class Access:
             if user.certificate is not None
         ]
         self._nobodys = hash_password("")  # takes as long as a password that is there
-        self._wrong: dict[str, deque[float]] = defaultdict(deque)
+        self._wrong: dict[Attempt, deque[float]] = defaultdict(deque)
         self._told: deque[float] = deque()
         self._n_untold = 0
 
@@ -112,19 +114,19 @@ class Access:
         may_order = user.orders or user.key_file is not None
         return PlantUser(UserRole.User, user.name, user.key_file, may_order)
 
-    def check_pace(self, address: str) -> None:
-        """Raise `ClientRefusedError` for an address that was refused too often in the last minute."""
-        if len(_recent(self._wrong[address])) >= MAX_WRONG:
+    def check_pace(self, attempt: Attempt) -> None:
+        """Raise `ClientRefusedError` for a user whose password was wrong too often in the last minute."""
+        if attempt in self._wrong and len(_recent(self._wrong[attempt])) >= MAX_WRONG:
             raise ClientRefusedError(
                 ua.StatusCodes.BadUserAccessDenied, f"was refused {MAX_WRONG} times within a minute"
             )
 
-    def note_wrong(self, address: str) -> None:
+    def note_wrong(self, attempt: Attempt) -> None:
         """Count an attempt to sign in that was refused."""
-        if len(self._wrong) > MAX_ADDRESSES:
+        if len(self._wrong) > MAX_ATTEMPTS:
             self._wrong.clear()
-        if len(self._wrong[address]) < MAX_WRONG:
-            self._wrong[address].append(time.monotonic())
+        if len(self._wrong[attempt]) < MAX_WRONG:
+            self._wrong[attempt].append(time.monotonic())
 
     def tell(self, address: str, what: object) -> None:
         """Log what was refused, in a bounded number of lines."""

@@ -11,6 +11,7 @@ import math
 import uuid
 from collections import Counter
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any
 
 from asyncua import Server, ua
@@ -42,9 +43,12 @@ MAX_QUEUE = 500
 """Values or events that wait for a slow client; then the oldest is dropped."""
 MAX_UNACKNOWLEDGED = 50
 """Messages that are kept to be sent again."""
-MAX_NODES = 1000
-"""Nodes of one request."""
-MAX_CALLS = 10
+MAX_NODES, MAX_BROWSED, MAX_CALLS = 1000, 100, 10
+"""Nodes, nodes that are browsed, and calls of one request."""
+SCHEMAS = frozenset(
+    ua.NodeId(number) for number in (ua.ObjectIds.OpcUa_BinarySchema, ua.ObjectIds.OpcUa_XmlSchema)
+)
+"""Nodes with values of hundreds of kilobytes; no others have more than some hundred bytes."""
 MAX_SELECTED, MAX_CONDITIONS = 200, 100
 """Fields and elements of the filter of an event."""
 MAX_MESSAGE_BYTES = 1_000_000
@@ -58,8 +62,20 @@ ACTIVATION_S = 10.0
 """Longest time from a connection to a session that may read."""
 SESSION_S = (5.0, 3600.0)
 """Shortest and longest time that a silent session is kept."""
-BUFFER_BYTES = 65_535
+LINGER_S = 2.0
+"""Time to read the last answer in, once a connection is closed."""
+BUFFER_BYTES, LEAST_BUFFER_BYTES = 65_535, 8192
+"""Largest chunk, and the least that a client must be able to take (OPC 10000-6, 7.1.2.3)."""
 
+OPERATION_LIMITS = {
+    "MaxNodesPerRead": MAX_NODES,
+    "MaxNodesPerWrite": MAX_NODES,
+    "MaxNodesPerBrowse": MAX_BROWSED,
+    "MaxNodesPerMethodCall": MAX_CALLS,
+    "MaxNodesPerTranslateBrowsePathsToNodeIds": MAX_NODES,
+    "MaxNodesPerRegisterNodes": MAX_NODES,
+    "MaxMonitoredItemsPerCall": MAX_ITEMS_OF_SESSION,
+}
 NOBODY = User(role=UserRole.Anonymous)
 EVENTS = ua.AttributeIds.EventNotifier
 WEAK = ("rsa-1_5", "rsa-sha1")
@@ -76,6 +92,16 @@ SERVICES = frozenset(
     )
 )  # fmt: skip
 """Services that a session may ask for; nothing that changes the address space, and no history."""
+
+
+class BoundedLimits(TransportLimits):
+    """Sizes of messages; a client that takes only tiny chunks would have each answer cut into thousands."""
+
+    def create_acknowledge_and_set_limits(self, msg: ua.Hello) -> ua.Acknowledge:
+        """Agree on sizes with a client; raise `ServiceError` if its own are too small."""
+        if min(msg.ReceiveBufferSize, msg.SendBufferSize) < LEAST_BUFFER_BYTES:
+            raise ServiceError(ua.StatusCodes.BadConnectionRejected)
+        return super().create_acknowledge_and_set_limits(msg)
 
 
 class ServedServices(PermissionRuleset):
@@ -102,10 +128,11 @@ class BoundedSession(InternalSession):
         self, params: ua.ActivateSessionParameters, peer_certificate: bytes | None
     ) -> ua.ActivateSessionResult:
         """Check who asks; raise `ServiceError` and report it, if they may not."""
-        access = self.iserver.access
-        access.check_pace(self.address)
+        access, token = self.iserver.access, params.UserIdentityToken
+        attempt = (self.address, token.UserName) if isinstance(token, ua.UserNameIdentityToken) else None
+        if attempt is not None:
+            access.check_pace(attempt)
         try:
-            token = params.UserIdentityToken
             is_anonymous = not isinstance(token, (ua.UserNameIdentityToken, ua.X509IdentityToken))
             if is_anonymous and not is_loopback(self.address):
                 raise ClientRefusedError(
@@ -115,25 +142,27 @@ class BoundedSession(InternalSession):
                 raise ClientRefusedError(
                     ua.StatusCodes.BadSecurityModeRejected, "signs in over a channel that is not secured"
                 )
-            is_open = isinstance(token, ua.UserNameIdentityToken) and not token.EncryptionAlgorithm
-            if is_open and self.mode == ua.MessageSecurityMode.Sign:
+            is_signed_only = self.mode == ua.MessageSecurityMode.Sign
+            if attempt is not None and is_signed_only and not token.EncryptionAlgorithm:
                 raise ClientRefusedError(
                     ua.StatusCodes.BadIdentityTokenInvalid, "sends its password in plain text"
                 )
             return super().activate_session(params, None)  # of a certificate its own, not that of the channel
         except (ServiceError, UaStatusCodeError) as err:
-            access.note_wrong(self.address)
+            if attempt is not None:
+                access.note_wrong(attempt)
             access.tell(self.address, err)
             raise
 
     async def read(self, params: ua.ReadParameters) -> Any:
         """Read a bounded number of attributes."""
         _bound(params.NodesToRead, MAX_NODES)
+        _bound([each for each in params.NodesToRead if each.NodeId in SCHEMAS], len(SCHEMAS))
         return await super().read(params)
 
     async def browse(self, params: ua.BrowseParameters) -> Any:
         """Browse a bounded number of nodes."""
-        _bound(params.NodesToBrowse, MAX_CALLS * 10)
+        _bound(params.NodesToBrowse, MAX_BROWSED)
         return await super().browse(params)
 
     async def translate_browsepaths_to_nodeids(self, params: list[ua.BrowsePath]) -> Any:
@@ -372,7 +401,7 @@ class BoundedProtocol(OPCUAProtocol):
     async def _process_one_msg(self, header: Any, buf: Any) -> Any:
         await asyncio.sleep(0)  # other connections have their turn
         try:
-            return await super()._process_one_msg(header, buf)
+            is_to_go_on = await super()._process_one_msg(header, buf)
         except Exception as err:  # noqa: BLE001 - whatever a stranger's bytes do to the library
             code = getattr(err, "code", ua.StatusCodes.BadTcpInternalError)
             if not isinstance(err, ClientRefusedError):
@@ -381,7 +410,10 @@ class BoundedProtocol(OPCUAProtocol):
                 error = ua.ErrorMessage(ua.StatusCode(code), "")
                 self.transport.write(uatcp_to_binary(ua.MessageType.Error, error))
                 self.transport.close()
-            return False
+            is_to_go_on = False
+        if not is_to_go_on and self.transport is not None:  # who reads nothing would never be rid of
+            asyncio.get_running_loop().call_later(LINGER_S, self.transport.abort)
+        return is_to_go_on
 
 
 class BoundedBinaryServer(BinaryServer):
@@ -405,7 +437,7 @@ class BoundedServer(Server):
     def __init__(self, access: Access, methods: MethodTable) -> None:
         super().__init__(iserver=BoundedInternalServer(access, methods))
         self.application_type = ua.ApplicationType.Server
-        self.limits = TransportLimits(
+        self.limits = BoundedLimits(
             BUFFER_BYTES, BUFFER_BYTES, MAX_MESSAGE_BYTES // BUFFER_BYTES + 1, MAX_MESSAGE_BYTES
         )
         self.set_security_policy(
@@ -416,6 +448,13 @@ class BoundedServer(Server):
             ],
             permission_ruleset=ServedServices(),
         )
+
+    async def init(self, shelf_file: Path | None = None) -> None:
+        """Build the address space of OPC UA itself, which says what one request may ask for."""
+        await super().init(shelf_file)
+        for name, most in OPERATION_LIMITS.items():
+            number = getattr(ua.ObjectIds, f"Server_ServerCapabilities_OperationLimits_{name}")
+            await self.get_node(ua.NodeId(number)).write_value(ua.Variant(most, ua.VariantType.UInt32))
 
     async def start(self) -> None:
         """Listen; raise `OSError` if that cannot be."""

@@ -4,6 +4,7 @@ import asyncio
 import logging
 import socket
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import datetime
 from typing import Any
 
@@ -90,9 +91,10 @@ class OpcUaOutlet:
             await self._methods.add(space, method)
         waiting = ua.StatusCode(ua.StatusCodes.BadWaitingForInitialData)
         await self._write({each: ua.DataValue(ua.Variant(None), waiting) for each in (*POSITION, *LATEST)})
-        kept = kept_position(self._plant.folder / "opcua" / "results.cursor")
-        if kept.instance_id is not None:
-            await self._show_position(kept)
+        with suppress(OSError, ValueError, TypeError):  # who follows the results says so
+            kept = kept_position(self._plant.folder / "opcua" / "results.cursor")
+            if kept.instance_id is not None:
+                await self._show_position(kept)
         await self._show_state(self._plant.state)
         await server.start()
         log.info("opc ua: opc.tcp://%s:%d/stonefall", host, self.port)
@@ -119,6 +121,7 @@ class OpcUaOutlet:
             is_heard = bool(self.server.iserver.subscription_service.subscriptions)
             for result in step.items if is_heard else ():
                 await self.server.emit(result_event(result, str(step.position.instance_id)))
+                await asyncio.sleep(0)  # a step may have a thousand: clients have their turns between them
             if step.items:
                 await self._show_latest(step.items[-1])
             await self._show_position(step.position)
