@@ -1,8 +1,8 @@
 """Silhouettes of two stones that touch or cover each other: they are narrow where one ends and the other begins.
 
 Crushed stones have no such waist, dented and two-lobed ones included; horseshoes may have one. Where two stones touch,
-some view of sixteen shows it, unless one is a grain of a fifth of the other's size: that changes the volume by less than
-its sigma.
+some view of sixteen shows it, unless one is a grain of a fifth of the other's size: that changes the volume by less
+than its sigma.
 """
 
 from collections.abc import Iterable

@@ -43,7 +43,7 @@ from support.opcua import (
 from pipeline.gradation.estimates import Estimate, State
 from pipeline.gradation.specification import Verdict
 from service.base.status import Ne107
-from service.bridge.opcua import bounded_server
+from service.bridge.opcua import connections, sessions
 from service.bridge.opcua import outlet as outlet_module
 from service.bridge.opcua.access import Access
 from service.bridge.opcua.certificates import now_utc, own_certificate, thumbprint
@@ -339,7 +339,7 @@ async def test_passwords_are_not_taken_over_an_open_channel(served: Served) -> N
 async def test_anonymous_readers_come_from_this_machine_only(
     served: Served, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(bounded_server, "is_loopback", lambda _: False)
+    monkeypatch.setattr(sessions, "is_loopback", lambda _: False)
     with caplog.at_level(logging.WARNING):
         for client in (Client(served.url), await secured(served.url, served.client)):
             with pytest.raises(BadIdentityTokenRejected):
@@ -383,7 +383,7 @@ async def test_periods_and_numbers_are_bounded(served: Served) -> None:
             )
             revised = await client.uaclient.create_subscription(params, lambda _: None)
             assert 50 <= revised.RevisedPublishingInterval <= 60_000
-        for _ in range(bounded_server.MAX_SUBSCRIPTIONS_OF_SESSION - 5):
+        for _ in range(sessions.MAX_SUBSCRIPTIONS_OF_SESSION - 5):
             await client.create_subscription(1000, Heard())
         with pytest.raises(UaError):
             await client.create_subscription(1000, Heard())
@@ -422,16 +422,16 @@ async def test_a_slow_client_has_a_bounded_queue_and_gets_the_newest(served: Ser
         await subscription.init()
         kind = client.get_node(ua.NodeId("ResultReadyEventType", INDEX))
         await subscription.subscribe_events(evtypes=kind)
-        for _ in range(bounded_server.MAX_EVENT_ITEMS_OF_SESSION - 1):
+        for _ in range(sessions.MAX_EVENT_ITEMS_OF_SESSION - 1):
             await subscription.subscribe_events(evtypes=kind)
         with pytest.raises(UaError):
             await subscription.subscribe_events(evtypes=kind)
-        for seq in range(1, bounded_server.MAX_QUEUE + 301):
+        for seq in range(1, sessions.MAX_QUEUE + 301):
             served.plant.fall(result(seq))
-        await soon(lambda: _is(client, "ResultManagement.Cursor", bounded_server.MAX_QUEUE + 300))
+        await soon(lambda: _is(client, "ResultManagement.Cursor", sessions.MAX_QUEUE + 300))
         service = served.outlet.server.iserver.subscription_service
         queued = service.subscriptions[subscription.subscription_id]._triggered_events
-        assert {len(events) for events in queued.values()} <= {bounded_server.MAX_QUEUE}
+        assert {len(events) for events in queued.values()} <= {sessions.MAX_QUEUE}
         oldest = next(iter(queued.values()))[0].EventFields
         assert 301 in [field.Value for field in oldest]
 
@@ -439,16 +439,16 @@ async def test_a_slow_client_has_a_bounded_queue_and_gets_the_newest(served: Ser
 async def test_a_client_that_reads_no_answers_is_disconnected(
     served: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bounded_server, "MAX_UNREAD_BYTES", 200_000)
+    monkeypatch.setattr(connections, "MAX_UNREAD_BYTES", 200_000)
     client = Client(served.url, timeout=PATIENCE_S)
     await client.connect()
-    connections = served.outlet.server.bserver.clients
-    ours = connections[-1]
+    clients = served.outlet.server.bserver.clients
+    ours = clients[-1]
     client.uaclient.protocol.transport.pause_reading()
     nodes = [client.get_node(ua.ObjectIds.Server_ServerStatus)] * 1000
     asking: set[asyncio.Task[object]] = set()
     async with asyncio.timeout(PATIENCE_S):
-        while ours in connections:
+        while ours in clients:
             if ours.messages.empty():  # too many at once are refused for themselves
                 asking.add(asyncio.create_task(client.read_values(nodes)))
             await asyncio.sleep(0.02)
@@ -476,7 +476,7 @@ async def test_a_connection_makes_few_sessions(served: Served) -> None:
     client = Client(served.url)
     await client.connect_sessionless()
     with pytest.raises(BadTooManySessions):
-        for _ in range(bounded_server.MAX_SESSIONS_OF_CONNECTION + 1):
+        for _ in range(sessions.MAX_SESSIONS_OF_CONNECTION + 1):
             await client.create_session()
     await client.disconnect_sessionless()
 
