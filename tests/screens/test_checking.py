@@ -67,6 +67,7 @@ def test_a_genuine_report_says_that_there_is_a_newer_one(
     expect(page.locator("#found")).to_contain_text(f"a newer report: revision {newest}")
 
 
+@pytest.mark.full
 def test_the_page_is_for_everybody(watched: Watched, replay: DaemonProcess) -> None:
     watched.page.goto(origin_of(replay.url("")) + "/verify")
     expect(watched.page.locator("#key")).not_to_be_empty()
