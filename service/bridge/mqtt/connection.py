@@ -6,6 +6,7 @@ asks for Clean Start; another one may ask the broker to remember it, so that it 
 
 import asyncio
 import ssl
+import threading
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -81,6 +82,8 @@ class BrokerConnection:
         """Has a `BrokerError` once the connection is gone."""
         self._connected: asyncio.Future[None] = self._loop.create_future()
         self._waiting: dict[int, tuple[str, asyncio.Future[bool]]] = {}  # for the acknowledgement of a packet
+        self._starting = threading.Lock()
+        self._is_left = False  # perhaps while it still connects, on a thread that nothing waits for
         self._client = client = Client(
             CallbackAPIVersion.VERSION2, client_id, protocol=MQTTv5, reconnect_on_failure=False
         )
@@ -177,11 +180,17 @@ class BrokerConnection:
             clean_start=self._heard is not None,
             properties=properties,
         )
-        client.loop_start()
+        with self._starting:
+            if not self._is_left:
+                client.loop_start()
+        if self._is_left:
+            client.reinitialise()  # closes the socket: nothing else will
 
     async def _close(self) -> None:
         # the will is published, though we go by intent: the one way out is that of a crash, too
         client = self._client
+        with self._starting:
+            self._is_left = True
         client.disconnect(ReasonCode(PacketTypes.DISCONNECT, "Disconnect with will message"))
         self.end("closed")
         with suppress(TimeoutError):

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from dataclasses import replace
@@ -307,6 +308,28 @@ async def test_a_broker_that_hangs_is_left(tmp_path: Path, monkeypatch: pytest.M
             await asyncio.sleep(1.5)
             broker.pause(is_paused=False)
             await soon(lambda: set(seqs(there)) == set(range(1, 31)))
+
+
+async def test_what_is_left_while_it_connects_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    began, goes_on, connect = threading.Event(), threading.Event(), connection.Client.connect
+    connecting: list[threading.Thread] = []
+
+    def slow(client: connection.Client, *words: Any, **more: Any) -> Any:
+        done = connect(client, *words, **more)
+        connecting.append(threading.current_thread())
+        began.set()
+        goes_on.wait()
+        return done
+
+    monkeypatch.setattr(connection.Client, "connect", slow)
+    with Mosquitto(tmp_path / "broker") as broker:
+        async with running(settings(broker.port), FakePlant(tmp_path)):
+            await soon(began.is_set)
+        goes_on.set()
+        await soon(lambda: not connecting[0].is_alive())
+        assert not [thread for thread in threading.enumerate() if thread.name.startswith("paho-mqtt")]
 
 
 async def test_kills_of_the_broker_lose_no_result(tmp_path: Path, request: pytest.FixtureRequest) -> None:
