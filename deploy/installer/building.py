@@ -13,7 +13,7 @@ from installer.releases import Release
 PARTS = ("README.md", "deploy", "systemd", "selftest", "share", "service", "drivers", "pipeline", "tests")
 """What goes into a release beside its environment: guides, the installer, what is placed in /etc, the self-test."""
 PACKAGE = Path("/usr/lib/stonefall")
-"""Where the Debian package has its bundle, which nobody edits and apt replaces as a whole."""
+"""Folder of the Debian package with its bundle: apt alone changes it, as a whole."""
 
 
 def build(host: Host, bundle: Path, release: Release) -> bool:

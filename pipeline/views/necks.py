@@ -17,7 +17,7 @@ NECK = 0.8
 LEVELS = 0.1 * 1.2 ** np.arange(12)
 """Depths, relative to the greatest, below which bodies may be connected."""
 N_SAMPLES = 64
-"""Of labels along a silhouette, so that a large one takes no longer."""
+"""Labels that are looked at along a silhouette: a large one takes no longer."""
 MIN_DEPTH_PX = 10.0
 """Half of the width of the smallest body that is not dust."""
 

@@ -24,15 +24,15 @@ class PlantAlarm:
     state: str
     """`unacknowledged`, `acknowledged` or `returned`: its cause is gone, and it was not acknowledged"""
     detail: str | None
-    """What the check says, in English"""
+    """Finding of the check, in English"""
     raised_at: str
     """RFC 3339 UTC"""
     acknowledged_by: str | None
     """Name of the key that acknowledged it"""
     cause: str
-    """What it means, in English"""
+    """Causes of such an alarm, in English"""
     action: str
-    """What to do"""
+    """Remedy, in English"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -113,7 +113,7 @@ async def supervise(name: str, outlet: Outlet, plant: Plant) -> None:
             log.error("%s has ended by itself", name)
         except (DriverError, ServiceError, OSError) as err:
             log.error("%s: %s", name, err)
-        except Exception:
+        except Exception:  # a fault of one outlet ends no other
             log.exception("%s failed", name)
         if time.monotonic() - started_s > LASTED_S:
             n_failed = 0

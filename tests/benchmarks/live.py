@@ -55,7 +55,7 @@ POLL_S = 2.0
 IDLE_S = 8.0
 SETTLE_S = 2.0
 GATE_SPEED_MM_S = 1400.0
-"""Of stones that fall 100 mm to the beam: at 30 a second the beam is open again before the next one."""
+"""Speed of stones at the beam after a fall of 100 mm: at 30 a second it is open again before the next one."""
 ARAVIS_THREAD = "arv_gv_stream"
 """Name of the threads in which Aravis receives packets, one a camera."""
 
@@ -145,10 +145,7 @@ def run_at(
         slots=2,
         command=(STONEFALL,),
     ) as daemon:
-        daemon.hear("READY=1")
-        daemon.wait_for("/acquisition", lambda now: now["state"] == "armed" and now["cameras_armed"] == 16)
-        daemon.wait_for("/accounting", lambda now: now["backgrounds"] == 2)
-        time.sleep(1)
+        wait_until_armed(daemon)
 
         def spent_s() -> list[float]:
             pid = daemon.process.pid
@@ -182,6 +179,13 @@ def run_at(
     ], lost
 
 
+def wait_until_armed(daemon: DaemonProcess) -> None:
+    daemon.hear("READY=1")
+    daemon.wait_for("/acquisition", lambda now: now["state"] == "armed" and now["cameras_armed"] == 16)
+    daemon.wait_for("/accounting", lambda now: now["backgrounds"] == 2)
+    time.sleep(1)
+
+
 def soak(folder: Path, spool: str, simulator: SimulatorProcess, arguments: Any) -> int:
     with DaemonProcess(
         folder,
@@ -194,10 +198,7 @@ def soak(folder: Path, spool: str, simulator: SimulatorProcess, arguments: Any) 
         slots=2,
         command=(STONEFALL,),
     ) as daemon:
-        daemon.hear("READY=1")
-        daemon.wait_for("/acquisition", lambda now: now["state"] == "armed" and now["cameras_armed"] == 16)
-        daemon.wait_for("/accounting", lambda now: now["backgrounds"] == 2)
-        time.sleep(1)
+        wait_until_armed(daemon)
         simulator.ask({"do": "fault", "of": "cameras", "set": {"packet_loss": arguments.loss}})
         samples = watch(simulator, daemon, arguments.seconds)
         counted = settle(simulator, daemon)

@@ -95,7 +95,7 @@ def asked(folder: Path, daemon: DaemonProcess, method: str, path: str, body: Any
 
 
 def told(command: str, *arguments: str) -> str:
-    """Return what one of asyncua's commands prints."""
+    """Return the output of one of asyncua's commands."""
     program = Path(sys.executable).with_name(command)
     found = subprocess.run(
         [program, "--timeout", "60", *arguments], capture_output=True, text=True, timeout=PATIENCE_S

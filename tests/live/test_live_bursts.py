@@ -26,7 +26,7 @@ WIRE = CameraWire(
 )
 """As the switch is; a camera may send as fast as its link takes it."""
 PULSE_MS = 5.0
-"""Of stones that do not fall from rest at the beam, which is open again when the next one comes."""
+"""Time (ms) for which a stone that is already falling closes the beam: it is open again when the next one comes."""
 SPACING_S = BURST_MS / 1e3 + 0.004
 N_BURSTS = 3
 N_TRIES = 15

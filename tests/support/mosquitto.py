@@ -140,7 +140,7 @@ class Subscriber:
         self._process.send_signal(signal.SIGSTOP if is_paused else signal.SIGCONT)
 
     def of(self, topic: str) -> list[Heard]:
-        """Return what was heard on one topic."""
+        """Return the messages on one topic, in their order."""
         return [each for each in list(self.heard) if each.topic == topic]
 
     def newest(self, topic: str) -> Any:

@@ -1,4 +1,4 @@
-"""Modbus TCP: the contacts and registers, for whoever reads them; nothing can be written.
+"""Modbus TCP server of the contacts and registers, which can be read and not written.
 
 The server is our own, as it has so little to do: four functions that read. A frame is bounded by its standard, a client
 by `idle_s`, and there are at most `max_clients`; one answer is sent before the next request is read.

@@ -24,7 +24,7 @@ class Condition:
     alarm: PlantAlarm
     is_known: bool
     event_ids: tuple[bytes, ...]
-    """Of the newest events of this alarm, by each of which it can be acknowledged"""
+    """Ids of the newest events of this alarm: it can be acknowledged by each."""
 
     def tells(self, alarm: PlantAlarm) -> bool:
         """True when its event tells all of an alarm but for its text, which may change with every look."""

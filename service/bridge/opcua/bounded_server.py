@@ -52,7 +52,7 @@ class ServedServices(PermissionRuleset):
     """Refuses all services but those in `SERVICES`."""
 
     def check_validity(self, user: User, action_type: ua.NodeId, body: object) -> bool:
-        """Return False for a service that nobody may ask for."""
+        """Return False for a service that is not served."""
         return action_type in SERVICES
 
 
@@ -114,6 +114,6 @@ class BoundedServer(Server):
             if subscription_id in (None, each):
                 try:
                     await subscription.monitored_item_srv.trigger_event(event)
-                except Exception:
+                except Exception:  # of a filter by a client: its own subscription alone
                     log.exception("subscription %d cannot take an event, and is deleted", each)
                     await service.delete_subscriptions([each])

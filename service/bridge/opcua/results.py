@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
@@ -66,16 +65,8 @@ VISION: Mapping[str, Type] = {
 """Fields of the event by the names of OPC 40100-1; `HistoryId` is ours."""
 
 
-@dataclass(frozen=True, slots=True)
-class Position:
-    """Position in the feed that was reached: all results up to `seq` of the history were sent."""
-
-    history_id: str
-    seq: int
-
-
 def latest() -> Iterator[Shown]:
-    """Yield the variables of the newest result; their values are set by `latest_values`."""
+    """Yield the variables of the newest result; the outlet writes their values."""
     for name, (kind, unit, meaning) in LEAN.items():
         data_type = Ids.UtcTime if kind is Type.DateTime else kind.value
         yield Shown(f"ResultManagement.LatestResult.{name}", data_type, meaning, lambda _: None, unit)

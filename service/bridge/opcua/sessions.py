@@ -59,7 +59,7 @@ class BoundedSession(InternalSession):
 
     iserver: "BoundedInternalServer"
     mode = ua.MessageSecurityMode.None_
-    """Of its channel; one that is signed is so by the key of a trusted certificate"""
+    """Security of its channel: one that is signed has the key of a trusted certificate."""
 
     @property
     def address(self) -> str:
@@ -293,7 +293,7 @@ def check_filter(attribute: int, wanted: object) -> None:
         raise ServiceError(ua.StatusCodes.BadEventFilterInvalid)
     try:
         BaseEvent().to_event_fields(wanted.SelectClauses)
-    except Exception as err:
+    except Exception as err:  # whatever the library makes of a client's clauses
         raise ServiceError(ua.StatusCodes.BadEventFilterInvalid) from err
     # a tree of elements is evaluated in as many steps; one that is referred to twice, and that again, in 2^n
     seen: set[int] = set()

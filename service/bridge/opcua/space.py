@@ -67,7 +67,7 @@ class Space:
     async def add_variable(
         self, path: str, meaning: str, data_type: int, *, is_list: bool = False, kind: int
     ) -> None:
-        """Add a variable without a value, which nobody can write."""
+        """Add a read-only variable without a value."""
         attributes = _variable(ua.Variant(None), data_type, is_list=is_list)
         is_property = kind == Ids.PropertyType
         name = path.rpartition(".")[2]

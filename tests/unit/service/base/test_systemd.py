@@ -129,7 +129,7 @@ def test_priorities_are_written_only_when_the_journal_reads_stderr(tmp_path: Pat
 
 
 def entries(listener: socket.socket) -> list[dict[str, str]]:
-    """Return what the journal was sent, as it reads it (systemd, Native Journal Protocol)."""
+    """Return the entries sent to the journal, field by field (systemd, Native Journal Protocol)."""
     found = []
     while datagram := unheard(listener, 1 << 20):
         fields = {}
