@@ -46,6 +46,8 @@ MAX_MISSES = 3
 
 Not where its images come too late, as on a machine that is overloaded: opening cameras would only add to the load.
 """
+MAX_RECENT_MISSES, RECENT_TRIGGERS = 4, 16
+"""So many of the latest triggers without an image, in a row or not, and health names the camera."""
 BLIND_TRIGGERS = 3
 """Triggers in a row without any image from which the line between gate and cameras is taken to be broken."""
 MAX_SKEW_US = 20.0
@@ -64,6 +66,7 @@ class _RigCamera:
     received_s: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
     latencies_ms: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
     misses: int = 0  # triggers in a row
+    missed: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT_TRIGGERS))
     frames_then: int = 0  # before them, or before the latest `MAX_MISSES` of them
     last_miss_reason: str = ""
     counters: CameraCounters = field(default_factory=CameraCounters)  # since the rig was last armed
@@ -174,6 +177,7 @@ class RigCameras:
                 camera.received_s.append(time.monotonic())
             case CameraLost():
                 self._cameras[event.camera].keeper.mark_lost(event.reason, event.cause)
+                self._cameras[event.camera].missed.clear()
                 self.blind_triggers = 0  # it was not there to have an image
             case CameraBack():
                 self._cameras[event.camera].image = None  # an image from before the loss proves nothing
@@ -186,19 +190,25 @@ class RigCameras:
             is_armed = camera.keeper.state is DeviceState.ARMED
             if (frame := bundle.frames.get(name)) is not None:
                 camera.misses, camera.frames_then = 0, camera.frames
+                camera.missed.append(False)
                 camera.latencies_ms.append((frame.received_ns - bundle.trigger.received_ns) / 1e6)
             elif is_armed and bundle.missing[name] not in NOT_CAUSED_BY_CAMERA:
                 camera.last_miss_reason = bundle.missing[name]
                 silent.append((name, camera))
-        if bundle.frames:
+        # an image that came in part, or twice, was exposed: the line from gate to cameras works
+        are_exposed = bool(bundle.frames) or any(
+            camera.last_miss_reason != MissingReason.NO_FRAME for _, camera in silent
+        )
+        if are_exposed:
             self.blind_triggers = 0
-        elif silent:  # without any frame the cause is common to all cameras
+        elif silent:  # without any image the cause is common to all cameras
             self.blind_triggers += 1
         for name, camera in silent:
             camera.keeper.examine_now()
-            if not bundle.frames:
+            if not are_exposed:
                 continue
             camera.misses += 1
+            camera.missed.append(True)
             if camera.misses == MAX_MISSES:
                 log.warning("%s camera=%s", _miss_warning(camera), name)
             if camera.misses % MAX_MISSES == 0:
@@ -262,6 +272,8 @@ def _status(
         warnings.append(message(Code.CLOCK_MASTERS, masters=", ".join(masters)))
     if camera.misses >= MAX_MISSES:
         warnings.append(_miss_warning(camera))
+    elif (n_missed := sum(camera.missed)) >= MAX_RECENT_MISSES:
+        warnings.append(message(Code.CAMERA_LOSES, images=n_missed, triggers=len(camera.missed)))
     n_recent = sum(now_s - at_s <= FPS_OVER_S for at_s in camera.received_s)
     return CameraStatus(
         id=name,

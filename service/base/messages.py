@@ -69,6 +69,7 @@ class Code(StrEnum):
     CAMERA_FROZEN = "camera_frozen"
     CAMERA_SKEWED = "camera_skewed"
     CAMERA_MISSES = "camera_misses"
+    CAMERA_LOSES = "camera_loses"
     CAMERAS_SILENT = "cameras_silent"
     CAMERAS_LOST = "cameras_lost"
     CAMERAS_NEEDED = "cameras_needed"
