@@ -9,6 +9,7 @@ import os
 import signal
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -215,15 +216,21 @@ def test_c4_a_frame_that_comes_a_period_late_is_in_no_other_bundle(live: LiveRig
     assert live.status("c09")["missing"] == before["missing"]
     assert live.status("c09")["latency_max_ms"] > 500, "that they come late is to be seen"
     live.camera("c09").faults.late_ms = 1200.0
-    results = live.measure(2)  # with three it would be opened anew
-    assert all_measured(results)
-    assert all("c09" not in result["views"] for result in results)
-    assert live.status("c09")["missing"] >= before["missing"] + 2
     counted = ("late", "strays", "unannounced")
-    eventually(
-        lambda: any(live.status("c09")[each] > before[each] for each in counted),
-        "the late frames are counted",
-    )
+    # a camera that a busy machine loses meanwhile is opened anew, and its late frames are gone
+    for n_missed in (2, 4, 6, 8):
+        results = live.measure(2)
+        assert all_measured(results)
+        assert all("c09" not in result["views"] for result in results)
+        assert live.status("c09")["missing"] >= before["missing"] + n_missed
+        with suppress(AssertionError):
+            eventually(
+                lambda: any(live.status("c09")[each] > before[each] for each in counted),
+                "the late frames are counted",
+                timeout_s=20,
+            )
+            return
+    pytest.fail("late frames are never counted")
 
 
 @pytest.mark.full

@@ -86,9 +86,8 @@ def test_a_page_fits_and_its_drawings_can_be_read(
 ) -> None:
     with watched_page(browser, viewport=VIEWPORTS[size], reduced_motion="reduce") as watched:
         page = watched.page
-        watched.is_expected = re.compile(
-            "GPU stall due to ReadPixels"
-        )  # of the screenshot, by a driver in software
+        # of the screenshot, by a driver in software; and stones that fall meanwhile may take this one's frames away
+        watched.is_expected = re.compile(r"GPU stall due to ReadPixels|404 .*/views/c\d\d\.png$")
         show(page, plant, path)
         until(page, f"() => ({SMALL_LETTERS})({LEAST_LETTER_PX}).length === 0")
         screenshot(page, f"sizes-{path.strip('/').partition('?')[0].replace('/', '-')}-{size}")

@@ -437,21 +437,26 @@ async def test_a_slow_client_has_a_bounded_queue_and_gets_the_newest(served: Ser
 
 
 async def test_a_client_that_reads_no_answers_is_disconnected(
-    served: Served, monkeypatch: pytest.MonkeyPatch
+    served: Served, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    served.outlet.access._told.clear()
     monkeypatch.setattr(connections, "MAX_UNREAD_BYTES", 200_000)
-    client = Client(served.url, timeout=PATIENCE_S)
+    # its own watchdog would find that no answer comes, and ask no more
+    client = Client(served.url, timeout=PATIENCE_S, watchdog_intervall=10 * PATIENCE_S)
     await client.connect()
     clients = served.outlet.server.bserver.clients
     ours = clients[-1]
-    client.uaclient.protocol.transport.pause_reading()
     nodes = [client.get_node(ua.ObjectIds.Server_ServerStatus)] * 1000
     asking: set[asyncio.Task[object]] = set()
     async with asyncio.timeout(PATIENCE_S):
+        await client.read_values(nodes)
+        assert ours in clients, "who reads stays"
+        client.uaclient.protocol.transport.pause_reading()
         while ours in clients:
             if ours.messages.empty():  # too many at once are refused for themselves
                 asking.add(asyncio.create_task(client.read_values(nodes)))
             await asyncio.sleep(0.02)
+    assert "127.0.0.1 reads no answers: its connection is closed" in caplog.text
     client.uaclient.protocol.transport.resume_reading()
     for task in asking:
         task.cancel()
