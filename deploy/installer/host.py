@@ -10,6 +10,8 @@ from pathlib import Path
 
 USER, BRIDGE_USER = "stonefall", "stonefall-bridge"
 COMPILED = "/var/cache/stonefall/numba"
+PROCESSOR = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
+"""Variables of whoever installs that name the processor to compile for, as an image's does; without them, this one."""
 
 
 class InstallError(Exception):
@@ -53,6 +55,7 @@ class Host:
             "NUMBA_CACHE_DIR": COMPILED,
             "OMP_NUM_THREADS": "1",
             "OPENBLAS_NUM_THREADS": "1",
+            **{name: os.environ[name] for name in PROCESSOR if name in os.environ},
         }
         return self.execute([*as_user, *map(str, command)], environment)
 

@@ -15,11 +15,13 @@ import argparse
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
+from string import Template
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from install.debian_root import Chroot, output
@@ -74,17 +76,14 @@ def make_release(folder: Path, suite: str) -> Path:
         return files
     builder = Chroot(clean_root(folder, suite, "builder"), is_online=True)
     subprocess.run(["git", "clone", "--quiet", ROOT, builder.root / "srv/checkout"], check=True)
-    told = []
-    if certificate := os.environ.get("PIP_CERT"):  # of this machine's network
-        shutil.copy(certificate, builder.root / "srv/certificates.crt")
-        told = ["env", "PIP_CERT=/srv/certificates.crt"]
+    told = certificate_in(builder.root)
     with timed(f"{suite}: deploy/release"):
         builder.run("apt-get", "update", "-qq")
         builder.run(
             "apt-get", "install", "-qq", "--no-install-recommends", "openssh-client", "git", "python3-venv"
         )
         builder.run("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", "/root/key")
-        builder.run(*told, "/srv/checkout/deploy/release", "/root/key", "/srv/release")
+        builder.run("env", *told, "/srv/checkout/deploy/release", "/root/key", "/srv/release")
     shutil.rmtree(files, ignore_errors=True)
     shutil.move(builder.root / "srv/release", files)
     shutil.rmtree(builder.root)
@@ -192,28 +191,43 @@ def try_image(folder: Path, suite: str, files: Path) -> None:
     """Do the steps of the Containerfile in a root instead of its base image, which comes from a registry."""
     root = clean_root(folder, suite, "image")
     online, machine = Chroot(root, is_online=True), Chroot(root)
-    environment, user, command = [], "root", []
+    arguments: dict[str, str] = {}
+    environment, told, user, command = [], certificate_in(root), "root", []
     text = (ROOT / "deploy/container/Containerfile").read_text().replace("\\\n", " ")
     for word, _, rest in (line.partition(" ") for line in text.splitlines() if line[:1].isupper()):
         match word:
+            case "ARG":
+                name, _, value = rest.partition("=")
+                arguments[name] = value
             case "COPY":
                 source, target = rest.split()
                 for path in files.glob(source):
                     shutil.copy(path, root / target.lstrip("/"))
             case "RUN":
                 with timed(f"{suite}: the image is made"):
-                    online.run("sh", "-c", rest)
+                    online.run("env", *environment, *told, "sh", "-c", rest)
             case "ENV":
-                environment += rest.split()
+                environment += shlex.split(Template(rest).substitute(arguments))
             case "USER":
                 user = rest
             case "ENTRYPOINT":
                 command = json.loads(rest)
     assert command and (root / command[0].lstrip("/")).exists()
+    as_user = ("runuser", "-u", user, "--", "env", *environment)
     with timed(f"{suite}: the image's demo to a first result"):
-        measure = ("python3", "-c", FIRST_RESULT, *command, "demo")
-        machine.run("runuser", "-u", user, "--", "env", *environment, *measure)
+        machine.run(*as_user, "python3", "-c", FIRST_RESULT, *command, "demo")
+    with timed(f"{suite}: the image's rehearsal"):
+        said = machine.run(*as_user, *command, "rehearse", "--speed", "10", "--linger-s", "0")
+        assert re.search(r"lot +L-2 \(closed\): [1-9]", said)
     shutil.rmtree(root)
+
+
+def certificate_in(root: Path) -> list[str]:
+    """Return the variables that pip needs in a root, where the network of this machine has a certificate of its own."""
+    if (certificate := os.environ.get("PIP_CERT")) is None:
+        return []
+    shutil.copy(certificate, root / "srv/certificates.crt")
+    return ["PIP_CERT=/srv/certificates.crt"]
 
 
 def main() -> None:
