@@ -95,11 +95,13 @@ def trial(machine: Machine) -> None:
     )
     install = "/srv/stonefall-{}/deploy/install"
     with timed("refused: a damaged bundle"):
-        wheel = next(machine.root.glob(f"srv/stonefall-{first}/wheels/numpy-*"))
-        content = wheel.read_bytes()
-        wheel.write_bytes(content[:-1] + b"?")
+        library = next(
+            machine.root.glob(f"srv/stonefall-{first}/environment/lib/*/site-packages/numpy/version.py")
+        )
+        content = library.read_bytes()
+        library.write_bytes(content[:-1] + b"?")
         assert "the bundle is damaged" in machine.run(install.format(first), expect=1)
-        wheel.write_bytes(content)
+        library.write_bytes(content)
     with timed("refused: not root; twice at once"):
         assert "only root" in machine.run("runuser", "-u", "nobody", "--", install.format(first), expect=1)
         twice = f"mkdir -p /run/lock; flock /run/lock/stonefall-install {install.format(first)}"
