@@ -9,8 +9,11 @@ IN_VIEW_NS = 50_000_000
 """A stone within this time after a test pulse is in the picture or at its edge: it crosses the picture in 20 ms."""
 
 
-TRANSFER_MS = 8.0
-"""From an exposure to the middle of a short window; a frame that comes earlier than the exposure was dated wrongly."""
+TRANSFER_MS = 10.0
+"""From an exposure to the middle of a short window, which a frame takes 11 ms to reach, over an uplink of 10 Gb/s 20.
+
+A frame that comes earlier than its exposure was dated wrongly.
+"""
 MAX_WINDOW_SHARE = 0.45
 """Half width of the window, where only the dead time is set, as a share of that."""
 
@@ -43,7 +46,7 @@ class BundlingParameters:
 class BundlingSettings:
     """`[bundling]` of the configuration; what is not set follows from the rig."""
 
-    expected_delay_ms: float | None = None  # 259.4; for stones in the air together 8 after the exposure
+    expected_delay_ms: float | None = None  # 259.4; for stones in the air together 10 after the exposure
     window_ms: float | None = None  # 100; for stones in the air together 10
     dead_time_ms: float | None = None  # 220, or what cameras are busy for; for stones in the air together 25
 

@@ -16,7 +16,7 @@ MS = 1_000_000
 DELAY_NS = round(259.4 * MS)
 WINDOW_NS = 100 * MS
 PARAMETERS = BundlingParameters()
-QUICK = BundlingParameters(expected_delay_ms=255.4, window_ms=10, dead_time_ms=25)
+QUICK = BundlingParameters(expected_delay_ms=257.4, window_ms=10, dead_time_ms=25)
 """Bundling of a rig whose gate makes the delay."""
 QUICK_DELAY_NS = round(QUICK.expected_delay_ms * MS)
 

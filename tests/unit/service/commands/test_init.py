@@ -131,6 +131,17 @@ def test_the_packet_delay_is_what_the_uplink_of_the_cameras_needs_and_check_conf
     assert all(each["is_carried"] for each in network)
 
 
+@pytest.mark.parametrize("gbit_s", ["10", "20"])
+def test_frames_over_a_shared_uplink_fit_the_short_window_of_a_gate_that_makes_the_delay(
+    gbit_s: str, tmp_path: Path
+) -> None:
+    assert complete(tmp_path, "--flash-us", "20", "--delay", "gate", "--uplink", gbit_s).exit_code == 0
+    words = ["check-config", str(tmp_path / "stonefall.toml")]
+    checked = CliRunner().invoke(build_app(["check-config"]), words)
+    assert (checked.exit_code, checked.stderr) == (0, "")
+    assert "# two stones 25 ms apart: carried" in checked.stdout
+
+
 def test_doctor_names_a_network_that_loses_bundles_in_the_switch(tmp_path: Path) -> None:
     complete(tmp_path, "--uplink", "10", "--interface", "127.0.0.1")
     file = tmp_path / "stonefall.toml"

@@ -599,7 +599,7 @@ def test_a_delay_of_the_gate_lets_stones_be_in_the_air_together(tmp_path: Path) 
     assert rig.backend_for(nominal_rig()).gate_delay_us == rig.gate_delay_us == 247_352
     bundling = rig.bundling_for(settings.bundling)
     assert (bundling.window_ms, bundling.dead_time_ms) == (10, 25)
-    assert bundling.expected_delay_ms == pytest.approx(255.372, abs=0.001)
+    assert bundling.expected_delay_ms == pytest.approx(257.372, abs=0.001)
 
 
 def test_a_timer_makes_all_of_the_delay_or_what_is_said(tmp_path: Path) -> None:
