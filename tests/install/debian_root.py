@@ -4,6 +4,7 @@ import json
 import shutil
 import sqlite3
 import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 
 from support.eventually import eventually
 
+ROOT = Path(__file__).parents[2]
 ASK = "import sys, urllib.request; print(urllib.request.urlopen(sys.argv[1]).read().decode())"
 ENVIRONMENT = (
     "PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
@@ -28,6 +30,15 @@ exec chroot "$root" "$@"
 """
 """Run in namespaces of its own: mounts, and the loopback of a network without any other device, are gone after it."""
 NSPAWN = ("systemd-nspawn", "--quiet", "--register=no", "--keep-unit", "--private-network")
+
+
+@contextmanager
+def timed(title: str) -> Iterator[None]:
+    """Print a title, and how long its block took."""
+    print(f"\n=== {title}", flush=True)
+    start = time.monotonic()
+    yield
+    print(f"=== {title}: {(time.monotonic() - start) / 60:.1f} minutes", flush=True)
 
 
 class Machine:
