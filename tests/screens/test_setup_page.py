@@ -222,6 +222,7 @@ def test_the_first_start_finds_two_exchanged_cameras_and_a_silent_one(
     expect(page.locator(".tile.found")).to_have_count(15)
     assert sorted(found) == sorted(set(live.rig.cameras) - {SILENT})
     expect(page.locator(".step")).to_contain_text("16 of 16 cameras")
+    expect(page.locator(".asked")).to_contain_text(f"{SILENT}: ")  # and why it did not blink
     live.camera(SILENT).replug()
     press(page, "To the result")
     text = page.locator(".findings").inner_text()
@@ -238,7 +239,7 @@ def test_the_first_start_finds_two_exchanged_cameras_and_a_silent_one(
     assert f"# {SILENT}: no camera was seen here" in snippet
     assert violations(page) == []
     screenshot(page, "setup-places-result")
-    live.daemon.put("/acquisition", {"state": "armed"})
+    press(page, "Start measuring")
     live.wait_until_whole()
 
 

@@ -8,7 +8,7 @@ import { number, word } from "../words.js";
 import { conclude, snippet } from "./conclusions.js";
 import { drawings } from "./drawings.js";
 import { rigInUse } from "./rig.js";
-import { buttons, columns, finding, hands, makeWizard, note, progress, quoted, verdict } from "./wizard.js";
+import { buttons, columns, finding, hands, makeWizard, note, progress, quoted, seeingNote, verdict } from "./wizard.js";
 
 const STEPS = ["prepare", "find", "result"];
 const SEEN = "rig-places";
@@ -86,7 +86,7 @@ export function mountPlaces(place) {
     ];
   }
 
-  /** Let the next camera blink, or the one that does for another minute; one that cannot is noted with why. */
+  /** Let the next camera that can blink, or the one that does for another minute; one that cannot is noted with why. */
   async function blink() {
     const camera = lit?.camera ?? waiting()[0];
     if (camera === undefined) return go("result");
@@ -97,7 +97,7 @@ export function mountPlaces(place) {
       if (error.status !== 503) throw error;
       lit = null;
       remember(camera, { problem: error.detail, cause: error.cause });
-      throw error;
+      if (waiting().length > 0) return blink();
     }
     render();
   }
@@ -110,8 +110,7 @@ export function mountPlaces(place) {
   }
 
   async function noneBlinks() {
-    if (lit === null) return;
-    answer({ cause: "unseen", problem: word("setup.places-unseen") });
+    if (lit !== null) answer({ cause: "unseen", problem: word("setup.places-unseen") });
     await blink();
   }
 
@@ -151,7 +150,8 @@ export function mountPlaces(place) {
   function showFinding() {
     if (lit !== null && lit.until < Date.now()) lit.isOver = true;
     const n = Object.keys(seen).length;
-    showNew(live.status, [lit, waiting()[0]], () => html.p(asked()));
+    const unfound = Object.entries(seen).filter(([, { problem }]) => problem);
+    showNew(live.status, [lit, waiting()[0], unfound], () => [html.p(asked()), unfound.map(([camera, { problem }]) => html.p({ class: "weak" }, `${camera}: `, quoted(problem)))]);
     showNew(live.done, [n, cameras.length], () => progress(word("setup.places-progress", { n, of: cameras.length }), n, cameras.length));
     const marks = new Map(Object.values(seen).filter((each) => each.place).map((each) => [each.place, each]));
     showNew(live.drawings, [lit !== null, [...marks.keys()]], () => drawings(rig, marks, choose));
@@ -193,6 +193,7 @@ export function mountPlaces(place) {
       verdict(findings.length === 0, word(findings.length === 0 ? "setup.places-agree" : "setup.places-contradict", { n: findings.length })),
       findings.length > 0 && html.ul({ class: "findings" }, findings.map(({ code, values, detail }) => finding(html.strong(word(`setup.place-finding-${code}`, values)), quoted(detail)))),
       html.div({ class: "columns" }, placeTable(rows), html.div(html.h3(word("setup.places-snippet")), file, copyButtons(file))),
+      seeingNote(),
       html.h3(word("setup.places-run-next")),
       html.ol({ class: "hands" }, ["check", "restart", "again", "calibrate"].map((key) => html.li(word(`setup.places-then-${key}`)))),
       html.pre("stonefall check-config /etc/stonefall/stonefall.toml\nsudo systemctl restart stonefall\nstonefall cameras"),
