@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from service.base.status import AcquisitionState
 from service.calibration.states import OPEN, CalibrationAction, CalibrationState
 from service.calibration.verifications import VerificationState
 from service.commands.daemon_client import AsJson, DaemonClient, DaemonError
@@ -50,6 +51,8 @@ def start(
         typer.echo(json.dumps(record))
         return
     typer.echo(f"calibration {record['id']}: everything that falls now is observed")
+    if (state := daemon.ask("/acquisition")["state"]) != AcquisitionState.ARMED:
+        typer.echo(f"but the rig is {state}, and sees nothing that falls: /setup#calibration arms it")
     if follow:
         _follow(daemon, record["id"], as_json)
 

@@ -104,6 +104,7 @@ def daemon(monkeypatch: pytest.MonkeyPatch) -> Iterator[Pretender]:
 def test_drops_are_shown_as_they_fall(daemon: Pretender):
     daemon.answers = [
         (201, details("collecting")),
+        (200, {"state": "armed"}),
         (200, details("collecting", 1)),
         (200, details("collecting", 2)),
         (200, details("accepted", 2, report=REPORT)),
@@ -116,10 +117,17 @@ def test_drops_are_shown_as_they_fall(daemon: Pretender):
         "Bearer secret",
         {"ball_diameters_mm": [10.0], "method": "bundle", "by": "me"},
     )
+    assert "but the rig is" not in done.output
     assert done.output.count("residual up to 12.30 px; still missing: 3 more drops") == 2
     assert "held out 0.050 px, length +-0.0100 %, 2 drops used" in done.output
     assert "c02: it was moved: fasten it" in done.output
     assert "0.031" in done.output
+
+
+def test_a_rig_that_is_disarmed_is_told_at_the_start(daemon: Pretender):
+    """Whoever had placed the cameras dropped balls that nothing saw."""
+    daemon.answers = [(201, details("collecting")), (200, {"state": "disarmed"})]
+    assert "but the rig is disarmed, and sees nothing that falls" in daemon.run("start").output
 
 
 def test_it_waits_for_the_solution_and_tells_why_there_is_none(daemon: Pretender):
