@@ -1,7 +1,9 @@
 """`stonefall init` and `check-config`: the configuration of a rig, asked for and written; printed, and its faults."""
 
 import json
+import os
 import re
+import stat
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -82,7 +84,7 @@ class InitOptions:
     force: bool = False
     """Replace the file."""
     wiring: bool = False
-    """Write the wiring page of the rig beside the file, wiring.svg and wiring.pdf; a file that is there stays."""
+    """Write the wiring page of the rig beside the file, wiring.svg and wiring.pdf; alone it leaves that as it is."""
     language: Language = Language.ENGLISH
     """Language of the wiring page."""
 
@@ -91,17 +93,20 @@ class InitOptions:
 def command(options: InitOptions, density: DensityOptions) -> None:
     """Write a configuration with comments, and say what is missing in it and what to do next; exit 0 if nothing is.
 
-    On a terminal it asks for what no option says. Cameras that answer are entered in any order when there is one for
-    each place. A rig file that is there is kept; without one the design is written, until the rig is calibrated.
-    An installed example that has nothing of this site yet is replaced.
+    On a terminal, and without --wiring, it asks for what no option says. Cameras that answer are entered in any order
+    when there is one for each place. A rig file that is there is kept; without one the design is written, until the rig
+    is calibrated. An installed example that has nothing of this site yet is replaced.
     """
+    is_page_alone = options == InitOptions(file=options.file, wiring=True, language=options.language)
     if options.file.exists() and not options.force:
-        if options.wiring:
+        if is_page_alone:
             _print_wiring(options)
             return
         if not _is_example(options.file):
             raise UsageError(f"{options.file}: exists already; --force replaces it")
-    is_asked = sys.stdin.isatty()
+    is_asked = (
+        sys.stdin.isatty() and not options.wiring
+    )  # before the cameras are wired there is nothing to ask
     interfaces = tuple(options.interface or (_asked_interfaces() if is_asked else ()))
     rig_file = options.file.resolve().parent / "rig.json"
     rig = read_rig(rig_file) if rig_file.exists() else nominal_rig()
@@ -122,7 +127,7 @@ def command(options: InitOptions, density: DensityOptions) -> None:
             "output of the cameras that fires the light panels, such as Line2 (- if they are always on)"
         )
         if strobe_line is not None:
-            flash_us = _asked_number("light of one flash, us (0 if as long as the exposure)")
+            flash_us = _asked_number("light of one flash, us (0 if as long as the exposure of 20)", most=20)
     uplink_bytes_s = options.uplink * 125e6 if options.uplink else _found_uplink(interfaces)
     wire = CameraWire(
         n_cameras=len(rig.cameras),
@@ -158,7 +163,11 @@ def command(options: InitOptions, density: DensityOptions) -> None:
     if not rig_file.exists():
         write_rig(rig_file, rig)
         typer.echo(f"{rig_file}: the rig's design, until it is calibrated")
+    earlier = options.file.stat() if options.file.exists() else None
     write_file(options.file, text.encode())
+    if earlier is not None:  # as the installed example, which the service may read and nobody else
+        os.chown(options.file, earlier.st_uid, earlier.st_gid)
+        options.file.chmod(stat.S_IMODE(earlier.st_mode))
     if options.wiring:
         _print_wiring(options)
     missing = _missing(options.file, [place for place in rig.camera_ids if place not in named], gate)
@@ -337,8 +346,10 @@ def _found_uplink(interfaces: Sequence[str]) -> float | None:
     return links_bytes_s(host, {port for address in interfaces for port in host.interfaces_to(address)})
 
 
-def _asked_number(question: str) -> float | None:
-    return typer.prompt(question, type=float, default=0.0) or None
+def _asked_number(question: str, most: float = 1e5) -> float | None:
+    while not 0 <= (number := typer.prompt(question, type=float, default=0.0)) <= most:
+        typer.echo(f"it must be from 0 to {most:g}")
+    return number or None
 
 
 def _line(name: str, value: Any, example: Any = None) -> str:

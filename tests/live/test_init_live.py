@@ -25,7 +25,7 @@ def test_what_is_asked_for_becomes_the_configuration(tmp_path: Path) -> None:
     with simulated_rig(tmp_path, tmp_path / "source", number=6) as rig:
         expected = {camera.design.id: camera.design.serial for camera in rig.cameras.values()}
         interfaces, gate, density = "127.0.0.1", str(tmp_path / "gate"), "2700"
-        light = ["Line2", "15"]
+        light = ["Line2", "2700", "15"]  # a flash longer than the exposure is asked for again
         # typed, as cameras of other tests may answer as well, and be suggested
         serials = [expected[place] for place in rig_file.camera_ids]
         os.write(ours, "\n".join([interfaces, *serials, gate, *light, density, ""]).encode())

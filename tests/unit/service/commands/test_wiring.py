@@ -72,6 +72,22 @@ def test_the_installed_example_has_lines_to_write_on(tmp_path: Path) -> None:
     assert "SERIAL" not in text
 
 
+def test_options_beside_it_are_for_the_file_as_well(tmp_path: Path) -> None:
+    """An output for the light, given with the page of the installed example, was left out of both."""
+    file = tmp_path / "stonefall.toml"
+    file.write_bytes((DEPLOY / "stonefall.toml").read_bytes())
+    file.chmod(0o640)
+
+    def run(*more: str) -> int:
+        return CliRunner().invoke(build_app(["init"]), ["init", str(file), "--wiring", *more]).exit_code
+
+    assert run("--strobe-line", "Line2") == 1  # cameras and gate are missing still
+    assert page_of(file).count(f"{BOX} Line2") == 16
+    assert file.stat().st_mode & 0o777 == 0o640
+    assert run("--strobe-line", "Line3") == 1, "a file that is no example is not changed"
+    assert page_of(file).count(f"{BOX} Line2") == 16
+
+
 def test_layers_and_azimuths_are_those_of_the_rig(tmp_path: Path) -> None:
     rig = rig_wiring(written(tmp_path, 'serial]\nport = "/dev/gate"\n[plant'), Language.ENGLISH)
     assert [(each.place, each.layer, each.azimuth_deg) for each in rig.cameras[3:6]] == [
