@@ -104,9 +104,7 @@ def command(options: InitOptions, density: DensityOptions) -> None:
             return
         if not _is_example(options.file):
             raise UsageError(f"{options.file}: exists already; --force replaces it")
-    is_asked = (
-        sys.stdin.isatty() and not options.wiring
-    )  # before the cameras are wired there is nothing to ask
+    is_asked = sys.stdin.isatty() and not options.wiring  # who wires has no answers yet
     interfaces = tuple(options.interface or (_asked_interfaces() if is_asked else ()))
     rig_file = options.file.resolve().parent / "rig.json"
     rig = read_rig(rig_file) if rig_file.exists() else nominal_rig()

@@ -2,6 +2,11 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
+
+IN_CHECKOUT = Path(__file__).parents[2] / "deploy/host"
+HOST_FILES = "deploy/host" if IN_CHECKOUT.exists() else "/opt/stonefall/current/deploy/host"
+"""Folder of the files that prepare a host, as a person at its shell names it."""
 
 
 class HostVerdict(StrEnum):
@@ -44,4 +49,4 @@ def unknown(subject: str, found: str, wanted: str) -> Finding:
 
 def installed(file: str, folder: str, then: str) -> str:
     """Return the remedy that puts a file of deploy/host where it goes, and the command that makes it count."""
-    return f"install -Dt {folder} deploy/host/{file} && {then}"
+    return f"install -Dt {folder} {HOST_FILES}/{file} && {then}"

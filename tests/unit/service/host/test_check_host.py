@@ -141,6 +141,8 @@ def test_a_modem_manager_that_is_installed_and_stands_still_is_named(tree: Tree)
 def test_a_port_of_another_group_is_a_fault(tree: Tree, group: str, is_fault: bool) -> None:
     tree.write("/etc/group", f"root:x:4711:\n{group}:x:{tree.path(GATE).stat().st_gid}:stonefall\nbroken\n")
     assert faults(tree).keys() == ({"light gate"} if is_fault else set())
+    tree.path(GATE).chmod(0o666)
+    assert faults(tree) == {}, "everybody may use it"
 
 
 def test_a_spool_on_a_tmpfs_that_is_too_small_is_a_fault(tree: Tree) -> None:
