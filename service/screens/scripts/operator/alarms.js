@@ -22,9 +22,9 @@ export function showAlarms({ alarms, cameras }) {
 const act = (alarm, action, values) => post(`/alarms/${alarm.id}/${action}`, values).then(see.again);
 
 function render({ items, shelved, suppressed }) {
-  const n = items.filter((alarm) => alarm.state === "unacknowledged").length;
+  const n = items.filter((alarm) => alarm.state !== "acknowledged").length; // also of those that are gone
   setText(byId("alarms-title"), items.length === 0 ? word("operator.no-alarms") : word("operator.alarms", { all: items.length, new: n }));
-  byId("alarms").classList.toggle("calls", n > 0);
+  byId("alarms").classList.toggle("calls", items.some((alarm) => alarm.state === "unacknowledged"));
   const list = byId("alarm-list");
   const open = list.querySelector("details")?.open ?? false;
   showNew(list, { items, shelved, suppressed }, () => [
