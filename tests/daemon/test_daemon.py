@@ -177,8 +177,9 @@ def test_a_second_signal_gives_up_what_is_waiting(recording: Path, tmp_path: Pat
     assert accounting.is_balanced
     assert accounting.in_progress == 0
     assert accounting.by_reason["shutdown"] >= 3
-    # on a busy machine more has fallen than the queue holds
-    assert accounting.lost == accounting.by_reason["shutdown"] + accounting.by_reason.get("queue_full", 0)
+    # on a busy machine more has fallen than the queue holds, and frames come too late
+    assert accounting.by_reason.keys() <= {"shutdown", "queue_full", "no_frames"}
+    assert accounting.lost == sum(accounting.by_reason.values())
 
 
 @pytest.mark.full
