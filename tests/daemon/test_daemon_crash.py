@@ -143,13 +143,13 @@ def test_what_is_taken_from_a_running_daemon_comes_back(
         take_away: Callable[[], None] = (
             (lambda: delete(tmp_path / "spool")) if is_deleted else (lambda: kill_fork_server(daemon))
         )
+        name, trouble = ("queue", "was deleted") if is_deleted else ("workers", "died")
         for _ in range(3):
             measured = daemon.get("/accounting")["measured"]
             take_away()
+            check = daemon.check(name, lambda now: trouble in (now["detail"] or ""))
+            assert check["status"] != "pass"
             daemon.wait_for("/accounting", lambda now, before=measured: now["measured"] >= before + 2)
-        name, trouble = ("queue", "was deleted") if is_deleted else ("workers", "died")
-        check = daemon.check(name, lambda now: trouble in (now["detail"] or ""))
-        assert check["status"] != "pass"
         assert daemon.stop() == 0
 
 
