@@ -11,7 +11,7 @@ from pathlib import Path
 USER, BRIDGE_USER = "stonefall", "stonefall-bridge"
 COMPILED = "/var/cache/stonefall/numba"
 PROCESSOR = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
-"""Variables of whoever installs that name the processor to compile for, as an image's does; without them, this one."""
+"""Environment variables of numba that set the target processor of compiled loops; unset, it is that of this machine."""
 
 
 class InstallError(Exception):

@@ -47,7 +47,7 @@ MAX_MISSES = 3
 Not where its images come too late, as on a machine that is overloaded: opening cameras would only add to the load.
 """
 MAX_RECENT_MISSES, RECENT_TRIGGERS = 4, 16
-"""So many of the latest triggers without an image, in a row or not, and health names the camera."""
+"""Health names a camera from which this many images of its latest triggers are missing, in a row or not."""
 BLIND_TRIGGERS = 3
 """Triggers in a row without any image from which the line between gate and cameras is taken to be broken."""
 MAX_SKEW_US = 20.0

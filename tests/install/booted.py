@@ -14,19 +14,8 @@ from install.debian_root import ROOT, Machine, timed
 from install.derived_bundles import derive, measures_wrong, migrate, never_ready
 from support.eventually import eventually
 
-CONFIGURATION = """
-[rig]
-backend = "replay"
-recording = "/opt/stonefall/current/selftest/recording"
-pace = "recorded"
-loop = true
-[spool]
-dir = "/run/stonefall"
-[store]
-dir = "/var/lib/stonefall"
-[workers]
-slots = 2
-"""
+CONFIGURATION = (ROOT / "deploy/container/demo.toml").read_text()
+"""The recording of the self-test, again and again, as the image has it."""
 
 
 def unpack(root: Path, bundle: Path) -> Machine:

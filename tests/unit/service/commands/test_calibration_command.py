@@ -125,7 +125,7 @@ def test_drops_are_shown_as_they_fall(daemon: Pretender):
 
 
 def test_a_rig_that_is_disarmed_is_told_at_the_start(daemon: Pretender):
-    """Whoever had placed the cameras dropped balls that nothing saw."""
+    """After the cameras were placed the rig stayed disarmed, and the balls of a calibration fell unseen."""
     daemon.answers = [(201, details("collecting")), (200, {"state": "disarmed"})]
     assert "but the rig is disarmed, and sees nothing that falls" in daemon.run("start").output
 
